@@ -23,7 +23,7 @@ unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
 .PHONY: docs man demo test test-all test-suite test-tools test-tables test-links test-versions test-lowest test-fresh \
-        test-repeat lint bench bench-columns bench-fuzz matrix selftest-doc clean
+        test-repeat lint release test-c-node bench bench-columns bench-fuzz matrix selftest-doc clean
 
 # Status 3: something is inconclusive, as on a machine that is too busy; the command names it.
 demo: $(DEMO)
@@ -84,6 +84,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/links.py
 	$(BIN)/python benchmarks/impairment.py
 	$(BIN)/python benchmarks/startup.py --rounds 5
+	$(BIN)/python benchmarks/ccodec.py
 
 # Columnar decoding beside construct, scapy, struct, tshark and a plain copy, side by side in one run.
 bench-columns: $(STAMP)
@@ -98,6 +99,14 @@ bench-fuzz: $(STAMP)
 # The documentation site: site/index.html. A broken link is an error.
 docs: $(STAMP)
 	$(BIN)/python -m tools.docs
+
+# Everything that a release consists of: build/release.
+release: $(STAMP)
+	$(BIN)/python -m tools.release
+
+# The whole suite against the example node in C, over virtual Ethernet (root): about three minutes.
+test-c-node: $(STAMP)
+	$(BIN)/python -m tests.ccodec.suite
 
 # Man pages of all commands and their subcommands, for a folder of MANPATH: build/man/man1.
 man: $(STAMP)

@@ -88,6 +88,9 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """A VarCreate is ignored if its creation time is later than the own clock by more than this (s, 0 or more).
     A forged creation time in the future prevents the producer from creating its variable again until then. None
     follows the specification, which has no such bound."""
+    seqno_modulus: int | None = None
+    """Number of sequence numbers (2 or more), for studies of their wrap in small networks; all nodes of a network need
+    the same. None: those that the field of the profile can hold."""
     bp_queue_entries: int = 1
     """maxEntries with which VarDis registers (VD-INI-02): one payload, so that a beacon carries the latest."""
 

@@ -43,6 +43,11 @@ class ByteSource:
         self._read: Callable[[int], bytes | None] = getattr(stream, "read1", stream.read)
 
     @property
+    def indexed(self) -> bool:
+        """Return whether `name` is a regular file with the same octets, of which any part can be read."""
+        return self._owned and self.size is not None and isinstance(self._stream, io.FileIO)
+
+    @property
     def position(self) -> int:
         """Return the absolute offset of the cursor."""
         return self.base + self.start

@@ -16,7 +16,7 @@ import click
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, SectionedCommand
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -37,7 +37,7 @@ from .common import (
     report_capture_problems,
     use_colour,
 )
-from .filters import Filter, frame_range, parse_time
+from .filters import FrameRange, condition, selection_options
 from .lines import CsvRenderer, JsonlRenderer, ListRenderer
 from .tree import TreeRenderer
 
@@ -55,6 +55,12 @@ class _Renderer(Protocol):
 
 @click.command(
     "decode",
+    cls=SectionedCommand,
+    sections={
+        "Input": "hex_text interface profile ether_type",
+        "Selection": "where frames start end errors_only count",
+        "Output": "form hexdump clock color",
+    },
     epilog="FILE is an MCAP, pcap or pcapng recording, or - for standard input. Exit status: 0 all good, 1 malformed "
     "DCP frames were seen, 2 wrong usage or input that could not be read to its end.",
 )
@@ -73,21 +79,7 @@ class _Renderer(Protocol):
     show_default=True,
     help="Output: a tree of fields, one line per frame, one row per record, or one JSON object per frame.",
 )
-@click.option("--sender", multiple=True, metavar="ID", help="Only beacons of this sender; may be given several times.")
-@click.option(
-    "--protocol", multiple=True, metavar="NAME", help="Only beacons with a payload of srp, vardis or a protocol number."
-)
-@click.option("--container", multiple=True, metavar="NAME", help="Only beacons with this container, such as UPDATES.")
-@click.option("--variable", multiple=True, type=int, metavar="ID", help="Only beacons about this variable.")
-@click.option("--frames", callback=frame_range, metavar="N[-M]", help="Only these frame numbers.")
-@click.option(
-    "--from",
-    "start",
-    callback=parse_time,
-    metavar="TIME",
-    help="Not before: ISO time, epoch s, or +s from the first frame.",
-)
-@click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
+@selection_options
 @click.option("--errors-only", is_flag=True, help="Only malformed beacons.")
 @click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N shown frames.")
 @click.option("--hexdump/--no-hexdump", default=True, show_default=True, help="Show the octets below each tree.")
@@ -135,16 +127,7 @@ class _Run:
         self.ether_type = ether_type
         self.options = options
         self.output = Output()
-        self.filter = Filter(
-            senders=options["sender"],
-            protocols=options["protocol"],
-            containers=options["container"],
-            variables=options["variable"],
-            frames=options["frames"],
-            start=options["start"],
-            end=options["end"],
-            errors_only=options["errors_only"],
-        )
+        self.range = FrameRange(options["frames"], options["start"], options["end"])
         self.shown = 0
         self._heading_done = False
 
@@ -165,7 +148,7 @@ class _Run:
                 width=columns if sys.stdout.isatty() else None,
                 colour=colour,
                 time=self.options["clock"],
-                origin=lambda: self.filter.origin,
+                origin=lambda: self.range.origin,
             )
         if form == "csv":
             renderer = CsvRenderer(dissector.codec)
@@ -187,21 +170,25 @@ class _Run:
 
     def frames(self, dissector: FrameDissector, frames: Iterator[Frame], name: str, advance: Any) -> int:
         renderer, before = self.renderer(dissector), self.shown
+        wanted = condition(self.options["where"], dissector.codec)
         others: Counter[str] = Counter()
         beacons, malformed = 0, 0
         examples: list[str] = []
         try:
             for frame in frames:
                 advance()
-                self.filter.see(frame)
+                included = self.range.includes(frame)
                 found = dissector.dissect(frame)
                 if isinstance(found, OtherTraffic):
                     others[f"0x{found.ether_type:04x}" if found.ether_type is not None else found.reason] += 1
                     continue
                 beacons += 1
-                if not self.filter.wants(found):
+                errors = found.dissection.errors
+                if not included or (self.options["errors_only"] and not errors):
                     continue
-                if errors := found.dissection.errors:
+                if wanted is not None and not wanted(found):
+                    continue
+                if errors:
                     malformed += 1
                     if malformed <= _NAMED:
                         examples.append(f"{name}: frame {frame.number}: {errors[0]}")

@@ -15,8 +15,9 @@ from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
 
 from .common import load_codec
 
-#: kind -> (module, function of a codec, help)
+#: kind -> (module, function of a codec, help); a kind of several files has a dictionary of texts by name
 _KINDS = {
+    "c": ("dcp_codec.export.c.files", "codec_files", "decoder and encoder in C99"),
     "lua": ("dcp_codec.export.lua", "wireshark_dissector", "Wireshark/tshark dissector (Lua)"),
     "ksy": ("dcp_codec.export.ksy", "kaitai_struct", "Kaitai Struct specification"),
     "jsonschema": ("dcp_codec.export.jsonschema", "frame_schema", "JSON Schema of 'decode --format jsonl'"),
@@ -27,12 +28,18 @@ _KINDS = {
 
 @click.command("export")
 @click.argument("kind", type=click.Choice(list(_KINDS)))
+@click.option(
+    "--adapter", is_flag=True, help="For c: also an adapter of the upper tester, dcp_adapter.h and dcp_adapter.c."
+)
 @click.option("-p", "--profile", required=True, metavar="NAME|FILE", help=PROFILE_HELP)
-@click.option("-o", "--out", metavar="FILE", help="Write to this file.  [default: standard output]")
-def command(kind: str, profile: str, out: str | None) -> int:
+@click.option(
+    "-o", "--out", metavar="FILE|DIR", help="Write to this file, for c to this folder.  [default: standard output]"
+)
+def command(kind: str, adapter: bool, profile: str, out: str | None) -> int:
     """Write the wire format of a profile for another tool.
 
     \b
+    c           dcp_codec.h and dcp_codec.c: decoder and encoder in C99, without allocation
     lua         Wireshark dissector, also for tshark -X lua_script:FILE
     ksy         Kaitai Struct, for kaitai-struct-compiler -t LANGUAGE FILE
     jsonschema  JSON Schema of the output of 'decode --format jsonl'
@@ -43,19 +50,37 @@ def command(kind: str, profile: str, out: str | None) -> int:
     written.
     """
     codec = load_codec(profile)
-    text = _text(kind, codec, profile)
-    if out is None:
-        click.echo(text, nl=not text.endswith("\n"))
+    if adapter and kind != "c":
+        raise click.UsageError("--adapter belongs to the kind c")
+    result = _result(kind, codec, profile)
+    if adapter and isinstance(result, dict):
+        from dcp_codec.export.c.adapter import adapter_files
+
+        result |= adapter_files(codec)
+    if isinstance(result, dict):
+        if out is None:
+            raise click.UsageError(f"{kind} consists of {' and '.join(result)}; give a folder: -o DIR")
+        files = {Path(out) / name: text for name, text in result.items()}
+    elif out is None:
+        click.echo(result, nl=not result.endswith("\n"))
         return 0
-    try:
-        Path(out).write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
+    else:
+        files = {Path(out): result if result.endswith("\n") else result + "\n"}
+    for path, text in files.items():
+        try:
+            if isinstance(result, dict):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ExpectedError(f"{path}: cannot be written: {error.strerror}") from None
     return 0
 
 
-def _text(kind: str, codec: Codec, profile: str) -> str:
+def _result(kind: str, codec: Codec, profile: str) -> str | dict[str, str]:
     module, name, _ = _KINDS[kind]
     function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
     result = function(profile if kind == "scapy" else codec)
-    return result if isinstance(result, str) else json.dumps(result, indent=2)
+    if kind == "jsonschema":
+        return json.dumps(result, indent=2)
+    made: str | dict[str, str] = result
+    return made

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.analysis.conditions import Where, WhereError, field_names
+from dcp_codec.analysis.conditions import field_names
 from dcp_codec.capture import CaptureError, create_capture
-from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -25,7 +24,7 @@ from .common import (
     recording_format,
     report_capture_problems,
 )
-from .filters import Moment, frame_range, parse_time
+from .filters import FrameRange, TimeBound, condition, selection_options
 
 
 @click.command(
@@ -37,16 +36,7 @@ from .filters import Moment, frame_range, parse_time
 @click.argument("target", required=False)
 @click.argument("surplus", nargs=-1, metavar="")
 @profile_options
-@click.option("-w", "--where", "text", metavar="EXPR", help="Keep DCP frames that meet this condition.")
-@click.option("--frames", callback=frame_range, metavar="N[-M]", help="Keep these frame numbers.")
-@click.option(
-    "--from",
-    "start",
-    callback=parse_time,
-    metavar="TIME",
-    help="Not before: ISO time, epoch s, or +s from the first frame.",
-)
-@click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
+@selection_options
 @click.option("--other", is_flag=True, help="Also keep frames that are not DCP.")
 @recording_format("Format of TARGET.  [default: by its suffix]")
 @click.option("--lossy", is_flag=True, help=LOSSY_HELP)
@@ -57,10 +47,10 @@ def command(
     surplus: tuple[str, ...],
     profile: str,
     ether_type: int | None,
-    text: str | None,
+    where: str | None,
     frames: tuple[int, int] | None,
-    start: Moment | None,
-    end: Moment | None,
+    start: TimeBound | None,
+    end: TimeBound | None,
     form: str | None,
     *,
     other: bool,
@@ -84,12 +74,12 @@ def command(
         )
     if source is None or target is None:
         raise click.UsageError("give SOURCE and TARGET")
-    if text is None and other is False and profile == "auto":
+    if where is None and other is False and profile == "auto":
         # Without conditions on the content all frames are copied.
         other = True
     with open_input(source) as reader:
         dissector, rest = choose(profile, ether_type, iter(reader), source)
-        wanted = None if text is None else _condition(text, dissector.codec)
+        wanted, selected = condition(where, dissector.codec), FrameRange(frames, start, end)
         place = sys.stdout.buffer if target == "-" else Path(target)
         kept = seen = 0
         try:
@@ -98,12 +88,10 @@ def command(
                 create_capture(place, format=form, lossy=lossy, whole=True, metadata=reader.metadata) as writer,
                 progress(reader, source) as advance,
             ):
-                first: int | None = None
                 for frame in rest:
                     advance()
                     seen += 1
-                    first = frame.time_ns if first is None else first
-                    if not _in_range(frame.number, frame.time_ns, frames, start, end, first):
+                    if not selected.includes(frame):
                         continue
                     found = dissector.dissect(frame) if wanted is not None or not other else None
                     if isinstance(found, OtherTraffic):
@@ -117,26 +105,3 @@ def command(
             raise ExpectedError(str(error)) from None
         note(f"{target}: {kept} of {seen} frames")
         return report_capture_problems(reader, source)
-
-
-def _condition(text: str, codec: Codec) -> Where:
-    try:
-        return Where(text, codec.profile, codec.beacon_plan)
-    except WhereError as error:
-        raise click.BadParameter(str(error), param_hint="'--where'") from None
-
-
-def _in_range(
-    number: int,
-    time_ns: int,
-    frames: tuple[int, int] | None,
-    start: Moment | None,
-    end: Moment | None,
-    first: int,
-) -> bool:
-    def at(moment: Moment) -> int:
-        return moment.ns + first if moment.relative else moment.ns
-
-    if frames is not None and not frames[0] <= number <= frames[1]:
-        return False
-    return (start is None or time_ns >= at(start)) and (end is None or time_ns <= at(end))

@@ -16,6 +16,7 @@ from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
 
 if TYPE_CHECKING:
+    from dcp_codec.report.findings import Judged
     from dcp_codec.report.page import Chapter
     from dcp_codec.table.job import Outcome
 
@@ -38,9 +39,22 @@ _MANY = 20
     help="Write the page to this file.  [default: in the current folder, NAME.html of the recording; report.html for "
     "several]",
 )
+@click.option(
+    "--findings",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="results.json of 'dcp-conformance check --report-dir': its findings about the recording are on the page.",
+)
 @profile_options
 @click.option("--force", is_flag=True, help=FORCE_HELP)
-def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: int | None, force: bool) -> int:
+def command(
+    files: tuple[str, ...],
+    out: Path | None,
+    findings: Path | None,
+    profile: str,
+    ether_type: int | None,
+    force: bool,
+) -> int:
     """Show which node holds which values, losses and missing values, in plots to zoom.
 
     The page is one self-contained file that works offline, in light and dark. Two recordings are shown side by side;
@@ -64,10 +78,15 @@ def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: 
             refuse_irregular(page)
         except OSError as error:
             raise ExpectedError(f"{page}: {error.strerror}") from None
+        from dcp_codec.report.findings import FindingsError, read_findings
         from dcp_codec.report.page import render
 
+        try:
+            judged = None if findings is None else read_findings(findings)
+        except FindingsError as error:
+            raise ExpectedError(str(error)) from None
         with octets_progress(recordings) as advance:
-            chapters, outcomes = _chapters(recordings, profile, ether_type, advance)
+            chapters, outcomes = _chapters(recordings, profile, ether_type, judged, advance)
         if not chapters:
             raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
         try:
@@ -89,6 +108,7 @@ def _chapters(
     recordings: Sequence[str],
     profile: str,
     ether_type: int | None,
+    judged: Judged | None,
     advance: Callable[[int], object],
 ) -> tuple[list[Chapter], list[Outcome]]:
     from dcp_codec.report.chapter import chapter
@@ -102,6 +122,6 @@ def _chapters(
         except CaptureError as error:
             outcomes.append(Outcome(path, failure=str(error)))
             continue
-        chapters.append(chapter(recorded, number))
+        chapters.append(chapter(recorded, number, judged))
         outcomes.append(recorded.outcome)
     return chapters, outcomes

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import fcntl
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -27,6 +28,8 @@ _GONE, _AGAIN = 0.5, 0.02
 #: Unit of ``st_blocks``, in octets.
 _BLOCK = 512
 _PR_SET_PDEATHSIG = 1
+#: The line with the kind and the place of a fault in a report of AddressSanitizer or UndefinedBehaviorSanitizer.
+_SANITIZER = re.compile(rb"SUMMARY: \w+Sanitizer: [^\n]*|[^\n]*: runtime error: [^\n]*")
 #: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
 _PUNCH_HOLE = 0x01 | 0x02
 
@@ -109,14 +112,20 @@ class Child:
         return lines[-1][-300:] if lines else ""
 
     def last_lines(self) -> str:
-        """Return the last lines of the output as the end of a message."""
-        lines = LastLines()
-        lines.take(self._tail())
-        return lines.shown()
+        """Return the last lines of the output as the end of a message, after the first line of a sanitizer's report.
 
-    def _tail(self) -> bytes:
+        Such a report is longer than what is quoted, and ends with less than it begins with.
+        """
+        lines = LastLines()
+        tail = self._tail(_KEPT)
+        lines.take(tail[-_TAIL:])
+        found = _SANITIZER.findall(tail)
+        named = " | ".join(printable(each[:_LINE].decode(errors="replace")) for each in dict.fromkeys(found))
+        return f"; {named}{lines.shown()}" if found else lines.shown()
+
+    def _tail(self, most: int = _TAIL) -> bytes:
         size = os.fstat(self._output.fileno()).st_size
-        return os.pread(self._output.fileno(), _TAIL, max(0, size - _TAIL))
+        return os.pread(self._output.fileno(), most, max(0, size - most))
 
     def trim(self) -> None:
         """Free the disk space of old output, if it is more than 1 MiB."""

@@ -94,6 +94,28 @@ class LazyGroup(click.Group):
             return super().invoke(ctx)
 
 
+class SectionedCommand(click.Command):
+    """A command with many options, whose help has sections.
+
+    ``sections``: heading -> names of parameters, separated by spaces. Options of no section are in the last one,
+    "Other options".
+    """
+
+    def __init__(self, *args: Any, sections: Mapping[str, str], **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.sections = dict(sections)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        options = [each for each in self.get_params(ctx) if isinstance(each, click.Option)]
+        records = {each.name: record for each in options if (record := each.get_help_record(ctx))}
+        for heading, names in self.sections.items():
+            rows = [records.pop(name) for name in names.split() if name in records]
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+        with formatter.section("Other options"):
+            formatter.write_dl(list(records.values()))
+
+
 class _ReaderGone(Exception):  # noqa: N818 - not an error
     """The reader of our output has closed the pipe."""
 

@@ -13,6 +13,7 @@ from dcp_codec.common.printable import plain
 
 from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time
+from .findings import Judged
 from .page import Chapter
 from .plots import DRAWN, PlotContext
 from .recorded import Recorded
@@ -21,9 +22,14 @@ from .series import seconds_text, short
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def chapter(recorded: Recorded, number: int = 0) -> Chapter:
-    """Return the chapter on one recording. ``number`` makes the names of plots and sections unique on the page."""
+def chapter(recorded: Recorded, number: int = 0, judged: Judged | None = None) -> Chapter:
+    """Return the chapter on one recording. ``number`` makes the names of plots and sections unique on the page.
+
+    ``judged``: findings of ``check``; they are shown if they are about this recording.
+    """
     outcome = recorded.outcome
+    if judged is not None and judged.recording != Path(outcome.path).name:
+        judged = None
     time, steps = analysis.time_of(recorded), analysis.steps_of(recorded)
     senders = analysis.senders_of(recorded, time, steps)
     transmissions = variables.transmissions(recorded)
@@ -40,6 +46,7 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
     found_sections = []
     if outcome.frames > outcome.other:
         found_sections = [
+            *([sections.findings_section(context, judged)] if judged is not None else []),
             sections.holding_section(context, held),
             sections.reactions_section(context, found),
             sections.anomalies_section(context, steps),
@@ -54,7 +61,7 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
     return Chapter(
         name=plain(Path(outcome.path).name),
         facts=_facts(recorded, time),
-        tiles=_tiles(recorded, time, senders, steps, held),
+        tiles=[*_tiles(recorded, time, senders, steps, held), *_failures(judged)],
         problems=_problems(recorded, steps),
         sections=found_sections,
         figures=_figures(context, senders, steps, held, values, passed) if found_sections else [],
@@ -86,17 +93,28 @@ def _lost(recorded: Recorded, steps: Steps) -> tuple[int, float]:
 def _tiles(
     recorded: Recorded, time: Time, senders: Sequence[Sender], steps: Steps, held: holding.Holding
 ) -> list[tuple[str, str, str]]:
-    malformed, stale = recorded.outcome.malformed, sum(pair.differs_at_end for pair in held.pairs)
+    malformed = recorded.outcome.malformed
+    stale = sum(pair.differs_at_end for pair in held.pairs)
+    behind = sum(bool(pair.behind) for pair in held.pairs)
     lost, share = _lost(recorded, steps)
     tiles = [(f"{recorded.column('beacons', 'node').size:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
     if recorded.tells_losses:
         tiles.append((f"{short(share, 2)} %", "lost", "fail" if lost else ""))
     tiles.append((str(len(recorded.variables)), "variables", ""))
     if held.pairs:
-        tiles.append((f"{'≠ ' if stale else ''}{stale:,}", "stale at the end", "fail" if stale else ""))
+        many, label = (stale, "stale at the end") if stale else (behind, "were stale")
+        tiles.append((f"{'≠ ' if many else ''}{many:,}", label, "fail" if many else ""))
     tiles.append((f"{malformed:,}", "malformed", "fail" if malformed else ""))
     tiles.append((seconds_text(time.duration), "duration", ""))
     return tiles
+
+
+def _failures(judged: Judged | None) -> list[tuple[str, str, str]]:
+    """Return the tile with the number of findings with the verdict fail."""
+    if judged is None:
+        return []
+    many = sum(each.verdict == "fail" for each in judged.findings)
+    return [(f"{many:,}", "finding" if many == 1 else "findings", "fail" if many else "")]
 
 
 def _problems(recorded: Recorded, steps: Steps) -> list[str]:
@@ -133,7 +151,7 @@ def _figures(
     octets = sum(part.octets for part in analysis.overhead(recorded, context.time))
     delays = passed.delay[passed.counted]
     could, sent = sum(pair.values for pair in held.pairs), sum(pair.sent for pair in held.pairs)
-    differs = sum(b - a for pair in held.pairs for a, b in pair.differs)
+    behind = sum(b - a for pair in held.pairs for a, b in pair.behind)
     known = sum(b - a for pair in held.pairs for a, b in pair.known) or 1.0
 
     def quantile(at: float) -> str:
@@ -148,7 +166,8 @@ def _figures(
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
         ("values that a node never sent", f"{could - sent:,} of {could:,}"),
-        ("time with another sequence number than the producer's", f"{short(100 * differs / known)} %"),
+        ("time with a stale value", f"{short(100 * behind / known)} %"),
+        ("longest lag", seconds_text(max((pair.age for pair in held.pairs), default=0.0))),
         ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),
         ("dissemination delay, 95th percentile", quantile(0.95)),

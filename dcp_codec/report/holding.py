@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dcp_codec.analysis.holdings import DELETED
+from dcp_codec.analysis.ledger import DELETED
 
 from .analysis import Time, times_of
 from .recorded import Column, Recorded
@@ -28,9 +28,10 @@ class Pair:
     """One node and one variable of another node. Spans are in seconds since the first frame.
 
     ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
-    or the node has not sent any. ``held`` and ``produced`` are the last numbers of node and producer: DELETED, or None
-    without any. ``values`` is the number of values of the producer that the node could have sent, ``sent`` the number
-    of those that it has sent.
+    or the node has not sent any. ``behind``: the stale part of them, which begins two seconds, and ten beacons of the
+    node, after the producer left the node's number. ``held`` and ``produced`` are the last numbers of node and
+    producer: DELETED, or None without any. ``values`` is the number of values of the producer that the node could have
+    sent, ``sent`` the number of those that it has sent.
     """
 
     variable: int
@@ -38,6 +39,10 @@ class Pair:
     producer: int
     known: list[Span] = field(default_factory=list)
     differs: list[Span] = field(default_factory=list)
+    behind: list[Span] = field(default_factory=list)
+    #: The longest lag in seconds, and the largest one in values.
+    age: float = 0.0
+    numbers: int = 0
     held: int | None = None
     produced: int | None = None
     values: int = 0
@@ -62,8 +67,9 @@ class Pair:
 class Divergence:
     """A long difference between the numbers of a node and of the producer.
 
-    ``missed`` is the number of the producer's values that the node did not send. ``frame`` is the frame in which the
-    producer sent the first of them. ``produced`` is the producer's number at the end of the difference.
+    ``start`` is the time at which the producer left the node's number, ``age`` the longest lag. ``missed`` is
+    the number of the producer's values that the node did not send. ``frame`` is the frame in which the producer sent
+    the first of them. ``produced`` is the producer's number at the end of the difference.
     """
 
     variable: int
@@ -71,6 +77,7 @@ class Divergence:
     producer: int
     start: float
     end: float
+    age: float
     to_the_end: bool
     held: int | None
     produced: int
@@ -131,7 +138,7 @@ def holding(recorded: Recorded, time: Time) -> Holding:
                 pair = Pair(variable, node, producer)
                 found.divergences += _compare(pair, produced, claims.get((variable, node)), beacons[node])
                 found.pairs.append(pair)
-    found.divergences.sort(key=lambda each: (not each.to_the_end, each.start - each.end))
+    found.divergences.sort(key=lambda each: (not each.to_the_end, -each.age))
     return found
 
 
@@ -170,6 +177,14 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number >= 0)
     pair.values, pair.sent = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
+    patience = max(_PATIENCE, _PATIENCE_BEACONS * interval)
+    apart = pieces[differs]
+    left, numbers = _left(apart, produced, claimed)
+    # The number of a state is old from the change of the producer on; the pieces of one state have one such time.
+    late = apart[:, 1] > left + patience
+    if late.any():
+        pair.behind = _joined(np.stack([np.maximum(apart[:, 0], left + patience), apart[:, 1]], axis=1)[late])
+        pair.age, pair.numbers = float((apart[:, 1] - left).max()), int(numbers[late].max())
     # The last beacon may end the difference.
     final = np.array([end])
     agrees = (
@@ -177,11 +192,11 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     )
     open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
     found = []
-    for start, stop in pair.differs:
-        if stop - start < max(_PATIENCE, _PATIENCE_BEACONS * interval):
-            continue
+    for since, stop in pair.behind:
         to_the_end = open_end and stop == end
         pair.differs_at_end |= to_the_end
+        of_this = (apart[:, 1] > since) & (apart[:, 0] < stop)
+        start = float(left[of_this].min())
         inside = (produced.time >= start) & (produced.time < stop)
         missed = inside & ~heard
         # The first missed value was sent before the start of the difference, or during it.
@@ -194,6 +209,7 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
                 producer=pair.producer,
                 start=start,
                 end=stop,
+                age=float((apart[of_this, 1] - left[of_this]).max()),
                 to_the_end=to_the_end,
                 held=int(claimed.number[last]) if claimed is not None and last >= 0 else None,
                 produced=int(produced.number[max(int(produced.at(np.array([stop - 1e-9]))[0]), 0)]),
@@ -202,6 +218,31 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
             )
         )
     return found
+
+
+def _left(pieces: Column, produced: _Claims, claimed: _Claims | None) -> tuple[Column, Column]:
+    """Return for each piece when the producer left the number of the node, and the lag in values at its end.
+
+    If the producer has not shown this number before, the piece counts from its own start, or that of the pieces that
+    are adjacent to it.
+    """
+    if not len(pieces):
+        return np.zeros(0), np.zeros(0, np.int64)
+    joined = np.concatenate([[True], pieces[1:, 0] != pieces[:-1, 1]])
+    begin = np.maximum.accumulate(np.where(joined, pieces[:, 0], -np.inf))
+    values = np.concatenate([[0], np.cumsum(produced.number >= 0)])
+    now = np.searchsorted(produced.time, pieces[:, 1], "left")
+    if claimed is None:
+        return begin, values[now]
+    held = claimed.number[claimed.at(pieces[:, 0])]
+    order = np.lexsort((produced.time, produced.number))
+    span = max(float(produced.time[-1]), float(pieces[-1, 1])) + 1
+    keys = (produced.number[order] + 3) * span + produced.time[order]
+    place = np.searchsorted(keys, (held + 3) * span + pieces[:, 0], "right") - 1
+    same = order[np.maximum(place, 0)]
+    known = (place >= 0) & (produced.number[same] == held) & (same + 1 < produced.time.size)
+    left = np.where(known, produced.time[np.minimum(same + 1, produced.time.size - 1)], begin)
+    return left, np.where(known, values[now] - values[np.minimum(same + 1, len(values) - 1)], 1)
 
 
 def _differ(held: Column, produced: Column) -> Column:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import BasicTickFormatter
 
-from dcp_codec.analysis.holdings import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import DELETED, UNKNOWN
 
 from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time
@@ -115,24 +115,27 @@ def over_time(
 def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None, int]:
     """Plot the held values over time for the longest differences; also return the number of omitted rows."""
     pairs = [pair for pair in found.pairs if pair.known or pair.differs]
-    longest = sorted(pairs, key=lambda each: -sum(b - a for a, b in each.differs))[:ROWS]
+    longest = sorted(pairs, key=lambda each: (-each.age, -sum(b - a for a, b in each.differs)))[:ROWS]
     rows = sorted(longest, key=lambda each: (each.variable, context.recorded.nodes[each.node]))
     if not rows:
         return None, 0
     time = context.time
     edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
-        "One row for each variable and node. Blue: the node sends the last sequence number of the producer. Red and "
-        "hatched: it sends another number, or has sent none at all; the height is the share of the time. White: it "
-        f"sends no record about the variable. Each interval is {seconds_text(float(edges[1]))} long."
+        "One row for each variable and node. Light blue: the node sends the last sequence number of the producer. Dark "
+        "blue: a newer one is on its way. Red and hatched: the producer left the node's number more than 2 s (and 10 "
+        "beacons of the node) before. White: it sends no record about the variable. Each interval is "
+        f"{seconds_text(float(edges[1]))} long."
     )
-    names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
+    names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.behind else ''}" for pair in rows]
     chart = context.chart("holding", "Values held by each node", caption, rows=names, height=110 + 19 * len(rows))
     same: list[tuple[float, float, int]] = []
-    other: list[tuple[float, float, int]] = []
-    share: list[float] = []
+    waits: list[tuple[float, float, int]] = []
+    waiting: list[float] = []
+    late: list[tuple[float, float, int]] = []
     held: list[str] = []
     produced: list[str] = []
+    behind: list[str] = []
     for row, pair in enumerate(rows):
         known, differs = (holding.shares(spans, edges) for spans in (pair.known, pair.differs))
         same += [(edges[a], edges[b], row) for a, b in runs(known > 0)]
@@ -140,15 +143,19 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
         turns = np.flatnonzero(np.diff(np.round(differs, 3), prepend=-1.0, append=-1.0))
         for a, b in pairwise(turns.tolist()):
             if differs[a]:
-                other.append((edges[a], edges[b], row))
-                share.append(float(differs[a]))
-                # The numbers during the last difference in the box.
-                numbers = map(number_text, pair.at(next(y for x, y in reversed(pair.differs) if x < edges[b])))
-                for texts, text in zip((held, produced), numbers, strict=True):
-                    texts.append(text)
+                waits.append((edges[a], edges[b], row))
+                waiting.append(float(differs[a]))
+        for start, stop in pair.behind:
+            late.append((start, stop, row))
+            numbers = map(number_text, pair.at(stop))
+            for texts, text in zip((held, produced), numbers, strict=True):
+                texts.append(text)
+            behind.append(f"{seconds_text(pair.age)}, {pair.numbers:,} value{'' if pair.numbers == 1 else 's'}")
     _boxes(chart, "good", same, np.ones(len(same)), legend="as the producer", row=names)
-    shown = {"percent of the time": 100 * np.array(share), "it holds": np.array(held), "producer": np.array(produced)}
-    _boxes(chart, "fail", other, np.array(share), legend="another number, or none", hatch="/", row=names, **shown)
+    shown = {"percent of the time": 100 * np.array(waiting)}
+    _boxes(chart, "way", waits, np.array(waiting), legend="a newer one is on its way", row=names, **shown)
+    tips = {"it holds": np.array(held), "producer": np.array(produced), "longest lag": np.array(behind)}
+    _boxes(chart, "fail", late, np.ones(len(late)), legend="stale", hatch="/", row=names, **tips)
     places = [(pair.differs[-1][1], row) for row, pair in enumerate(rows) if pair.differs_at_end]
     if places:
         ends = np.array(places)

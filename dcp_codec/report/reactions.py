@@ -34,6 +34,11 @@ class Reactions:
         many = int(self.trials[node, other])
         return int(self.reacted[node, other]) / many if many >= ENOUGH else None
 
+    def reacts(self, node: int) -> list[int]:
+        """Return the indices of the nodes to which the node reacts mostly."""
+        shares = ((other, self.share(node, other)) for other in range(len(self.trials)))
+        return [other for other, share in shares if share is not None and share >= REACTS]
+
     def hears(self, node: int) -> list[int]:
         """Return the indices of the nodes to which the node reacts at least sometimes."""
         shares = ((other, self.share(node, other)) for other in range(len(self.trials)))

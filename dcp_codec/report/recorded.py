@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from dcp_spec.profile.definition import SafetyField
 
-from dcp_codec.analysis.holdings import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import DELETED, UNKNOWN
 from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
 from dcp_codec.common.printable import plain
@@ -27,7 +27,7 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Maximum number of rows of one recording: about four for each beacon, with some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records that show which version of a variable a node holds; see dcp_codec.analysis.holdings.
+#: Tables of records that show which version of a variable a node holds; see dcp_codec.analysis.ledger.
 HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
 #: States that records without sequence number stand for.
 _INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}

@@ -11,6 +11,7 @@ from dcp_codec.common.printable import plain
 
 from . import analysis, holding, plots, reactions, variables
 from .analysis import Sender, Steps
+from .findings import Judged
 from .page import Cell, Section, Table, table
 from .plots import DRAWN, PlotContext, number_text
 from .recorded import Recorded
@@ -25,8 +26,32 @@ def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell
     path = recorded.outcome.path
     if path == "-":
         return Cell("")
-    only = f" --variable {variable}" if variable is not None else ""
+    only = f" -w 'varId == {variable}'" if variable is not None else ""
     return Cell(plain(f"dcp-codec decode --frames {frame}{only} {recorded.options} {shlex.quote(path)}"), code=True)
+
+
+def findings_section(context: PlotContext, judged: Judged) -> Section:
+    """Return the section on the findings of ``dcp-conformance check``."""
+    section = Section("findings", "Findings of dcp-conformance check")
+    if judged.links:
+        section.words.append(judged.links[0].upper() + judged.links[1:] + ".")
+    rows = [
+        [
+            Cell(each.verdict, bad=each.verdict == "fail"),
+            Cell(each.rule, mono=True),
+            _number("" if each.seconds is None else f"{each.seconds:.3f}"),
+            Cell(plain(each.text)),
+            command(context.recorded, each.frames[-1]) if each.frames else Cell(""),
+        ]
+        for each in judged.findings
+        if each.verdict != "info" or each.frames
+    ]
+    if rows:
+        caption = "Findings by verdict. The command shows the last frame of the finding."
+        section.tables.append(table(caption, ["verdict", "rule", "at (s)", "observed", "command"], rows))
+    if not any(each.verdict == "fail" for each in judged.findings):
+        section.words.append("No rule fails.")
+    return section
 
 
 def holding_section(context: PlotContext, found: holding.Holding) -> Section:
@@ -35,17 +60,7 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
     if not found.pairs:
         section.words.append("No node has sent a sequence number of another node's variable, so none can be compared.")
         return section
-    stale = [pair for pair in found.pairs if pair.differs_at_end]
-    if stale:
-        about = sorted({pair.variable for pair in stale})
-        listed = ", ".join(map(str, about[:8])) + (" ..." if len(about) > 8 else "")
-        section.words.append(
-            f"≠ At the end {len({pair.node for pair in stale})} of {len({pair.node for pair in found.pairs})} nodes "
-            f"do not hold the producer's number of {len(about)} of {len({pair.variable for pair in found.pairs})} "
-            f"variables ({listed})."
-        )
-    else:
-        section.words.append("At the end every node holds the last sequence number of the producer.")
+    section.words += _behind(context, found)
     section.tables.append(_at_the_end(context, found))
     plot, hidden = plots.holdings(context, found)
     if plot is not None:
@@ -65,6 +80,32 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
         listed = ", ".join(map(str, found.without_producer[:12]))
         section.words.append(f"Not compared, because no producer was received: variable {listed}.")
     return section
+
+
+def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
+    """Describe the stale values of nodes, and those at the end."""
+    behind = [pair for pair in found.pairs if pair.behind]
+    stale = [pair for pair in behind if pair.differs_at_end]
+    if not behind:
+        return ["No node had a stale value; at the end every node holds the last number of the producer."]
+    words = []
+    if stale:
+        about = sorted({pair.variable for pair in stale})
+        listed = ", ".join(map(str, about[:8])) + (" ..." if len(about) > 8 else "")
+        words.append(
+            f"≠ At the end {len({pair.node for pair in stale})} of {len({pair.node for pair in found.pairs})} nodes "
+            f"do not hold the producer's number of {len(about)} of {len({pair.variable for pair in found.pairs})} "
+            f"variables ({listed})."
+        )
+    worst = max(behind, key=lambda pair: (pair.age, pair.numbers))
+    by = f", up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
+    nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
+    words.append(
+        f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: {context.name(worst.node)} "
+        f"with variable {worst.variable}, {seconds_text(worst.age)}{by}."
+        f"{'' if stale else ' At the end none is, or the variable is deleted.'}"
+    )
+    return words
 
 
 def _at_the_end(context: PlotContext, found: holding.Holding) -> Table:
@@ -93,7 +134,7 @@ def _never_arrived(context: PlotContext, found: Sequence[holding.Divergence]) ->
             Cell(f"{each.variable}"),
             Cell(context.name(each.node), mono=True),
             _number(f"{each.start:.3f}"),
-            Cell("never" if each.to_the_end else f"after {seconds_text(each.end - each.start)}", bad=each.to_the_end),
+            Cell("never" if each.to_the_end else f"after {seconds_text(each.age)}", bad=each.to_the_end),
             _number(number_text(each.held)),
             _number(number_text(each.produced)),
             _number(f"{each.missed:,}"),
@@ -148,7 +189,7 @@ def reactions_section(context: PlotContext, found: reactions.Reactions) -> Secti
     reacts = [
         f"{context.name(node)} to {', '.join(context.name(context.nodes[other]) for other in close)}"
         for place, node in enumerate(context.nodes)
-        if (close := found.hears(place))
+        if (close := found.reacts(place))
     ]
     caption = (
         "Row: the node that reacts; column: the node that it reacts to. Counted are intervals between two beacons of "

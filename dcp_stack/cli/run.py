@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError, SectionedCommand
 from dcp_stack.control.places import SYSTEM, default_socket, is_answered
 
 if TYPE_CHECKING:
@@ -22,6 +22,13 @@ log = logging.getLogger("dcp_stack.node")
 
 @click.command(
     "run",
+    cls=SectionedCommand,
+    sections={
+        "Settings": "config print_config profile beacon_period network_id seed",
+        "Link and control": "interface link node_id control",
+        "Data": "position neighbour_file record metrics",
+        "Process": "daemon user log_level log_format log_file",
+    },
     epilog="Exit status: 0 ended in an orderly way (SIGTERM, SIGINT, SIGHUP, or the end of input with --control "
     "stdio); 2 the node could not be started. Options override the file. See docs/dcp-node.md.",
 )

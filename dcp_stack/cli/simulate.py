@@ -29,6 +29,7 @@ def scenario_of(
     seed: int | None,
     variables: int = 2,
     warm_up: float | None = None,
+    settings: dict[str, object] | None = None,
 ) -> Scenario:
     """Return the scenario of a file or the default one, with the options of the command line applied.
 
@@ -40,7 +41,7 @@ def scenario_of(
 
     from dcp_stack.sim.scenario.defaults import default_scenario
     from dcp_stack.sim.scenario.definition import LinkQuality, ScenarioError
-    from dcp_stack.sim.scenario.loading import check, load_scenario, parse_topology
+    from dcp_stack.sim.scenario.loading import change, check, load_scenario, parse_topology, scenario_from
 
     try:
         shape = None if topology is None else parse_topology(topology)
@@ -55,8 +56,10 @@ def scenario_of(
                 variables=variables,
                 link=LinkQuality(loss=loss or 0.0),
             )
+            if settings:
+                found = scenario_from(change(msgspec.to_builtins(found), settings, "simulation"), "simulation")
         else:
-            found = load_scenario(path)
+            found = load_scenario(path, settings or {})
         changes: dict[str, object] = {
             "nodes": nodes,
             "topology": shape,
@@ -70,6 +73,22 @@ def scenario_of(
         return check(msgspec.structs.replace(found, **given), path or "simulation")
     except (ScenarioError, ProfileError) as error:
         raise ExpectedError(str(error)) from None
+
+
+def _settings(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> dict[str, object]:
+    """Return the values of ``--set`` by their keys: values of TOML, other text as strings."""
+    import tomllib
+
+    found: dict[str, object] = {}
+    for each in given:
+        key, equals, text = each.partition("=")
+        if not (key and equals):
+            raise click.BadParameter(f"{each!r} is not KEY=VALUE")
+        try:
+            found[key] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[key] = text
+    return found
 
 
 @click.command(
@@ -97,6 +116,14 @@ def scenario_of(
     show_default=True,
     metavar="N",
     help="Number of variables, updated every 5 s; only without a SCENARIO.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    callback=_settings,
+    metavar="KEY=VALUE",
+    help="Set a key of the scenario, such as link.loss=0.3 or events.*.repetitions=2; may be given several times.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(

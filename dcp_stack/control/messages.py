@@ -1,7 +1,7 @@
 """The messages of the control interface: parameters and results of every method, and the notifications.
 
 These structs define the interface. Messages are checked against them, and the JSON Schema in
-``conformance/dcp_conformance/data/upper-tester.schema.json`` is generated from them (:mod:`dcp_stack.control.schema`).
+``spec/dcp_spec/data/upper-tester.schema.json`` is generated from them (:mod:`dcp_stack.control.schema`).
 Members have the names of the specification. Octets are hex, node identifiers hex with or without colons, times of day
 ns since 1970, and durations ms unless the name has another unit.
 """

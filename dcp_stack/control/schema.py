@@ -1,6 +1,6 @@
 """The control interface as JSON Schema (draft 2020-12), generated from the structs that check its messages.
 
-``python -m dcp_stack.control.schema > conformance/dcp_conformance/data/upper-tester.schema.json``
+``python -m dcp_stack.control.schema > spec/dcp_spec/data/upper-tester.schema.json``
 """
 
 from __future__ import annotations

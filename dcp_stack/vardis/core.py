@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dcp_stack.config import MAX_VARIABLES, NodeConfig
 from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.readings import HalfRange
+from dcp_stack.record_sizes import RecordSizes
 from dcp_stack.timestamps import StampClock
 
 from .database import Database, DBEntry
@@ -39,6 +40,13 @@ class Sequence:
         return (seqno + 1) % self._modulus
 
 
+def _modulus(wanted: int | None, sizes: RecordSizes) -> int:
+    """Return the number of sequence numbers. Raises ValueError if the field cannot hold the ``wanted`` ones."""
+    if wanted is not None and not 2 <= wanted <= sizes.seqno_modulus:
+        raise ValueError(f"seqno_modulus must be in 2..{sizes.seqno_modulus}, not {wanted}")
+    return wanted or sizes.seqno_modulus
+
+
 class Core:
     """The state of one VarDis entity, shared by its services, receiver and composer."""
 
@@ -53,7 +61,9 @@ class Core:
         self.emit = emit
         self.parameters = VardisParameters(config)
         self.sizes = config.record_sizes
-        self.sequence = Sequence(self.sizes.seqno_modulus, self.readings.half_range)
+        assert config.vardis is not None
+        self.settings = config.vardis
+        self.sequence = Sequence(_modulus(self.settings.seqno_modulus, self.sizes), self.readings.half_range)
         self.delivery = Delivery(self.sequence)
         """Signs that neighbours do not accept the variables of this node."""
         self.database = Database(remove_deleted=self.features.removed_after_deletion)
@@ -63,8 +73,6 @@ class Core:
         ##= VD-INI-01
         self.active = False
         """``vardisActive``."""
-        assert config.vardis is not None
-        self.settings = config.vardis
         ahead = self.settings.max_creation_ahead_s
         if ahead is not None and not ahead >= 0:
             raise ValueError(f"max_creation_ahead_s must be at least 0 s, not {ahead:g}")

@@ -60,6 +60,10 @@ class DBEntry(msgspec.Struct, gc=False):
     own: dict[str, Extra] = msgspec.field(default_factory=dict)
 
 
+#: Entries as tuples of the fields of :class:`DBEntry`, and the identifiers in each queue.
+DatabaseState = tuple[tuple[tuple[Any, ...], ...], tuple[tuple[int, ...], ...]]
+
+
 class Database:
     """Entries by variable identifier, and the queues of records to be sent about them.
 
@@ -195,6 +199,26 @@ class Database:
         """Remove a variable from all queues, those of additional containers included."""
         for queue in self.queues.values():
             queue.remove(var_id)
+
+    # -- saving -------------------------------------------------------------------------------------------------
+
+    def save(self) -> DatabaseState:
+        """Return entries and queues as a value, in their order."""
+        return (
+            tuple((*msgspec.structs.astuple(entry)[:-1], tuple(entry.own.items())) for entry in self.entries.values()),
+            tuple(map(tuple, self.queues.values())),
+        )
+
+    def restore(self, state: DatabaseState) -> None:
+        """Replace entries and queues by saved ones."""
+        entries, queues = state
+        self.entries.clear()
+        for fields in entries:
+            entry = DBEntry(*(*fields[:-1], dict(fields[-1])))
+            self.entries[entry.spec.var_id] = entry
+        for queue, saved in zip(self.queues.values(), queues, strict=True):
+            queue.clear()
+            queue.update(dict.fromkeys(saved))
 
     # -- inspection ---------------------------------------------------------------------------------------------
 

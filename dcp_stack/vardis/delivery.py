@@ -83,6 +83,16 @@ class _Waiting:
         self.behind = 0
 
 
+class DeliveryState(msgspec.Struct, frozen=True, gc=False):
+    """Saved signs. ``created`` alone has an effect on the behaviour of the node: (variable, creation time) pairs."""
+
+    created: tuple[tuple[int, int], ...] = ()
+    asked: tuple[tuple[tuple[bytes, int], int], ...] = ()
+    waiting: tuple[tuple[int, int, int, int], ...] = ()
+    superseded: tuple[int, ...] = ()
+    taken: tuple[tuple[int, bytes], ...] = ()
+
+
 class Delivery:
     """Received requests, summaries and creations of the variables of one VarDis entity, in bounded memory."""
 
@@ -176,6 +186,30 @@ class Delivery:
     def latest_creation(self, var_id: int) -> int | None:
         """Return the latest received creation time of a variable with this node as producer, None without any."""
         return self._created.get(var_id)
+
+    # -- saving -------------------------------------------------------------------------------------------------
+
+    def save(self) -> DeliveryState:
+        """Return the signs as a value."""
+        waiting = tuple((var_id, each.seqno, each.since, each.behind) for var_id, each in self._waiting.items())
+        return DeliveryState(
+            tuple(self._created.items()),
+            tuple(self._asked.items()),
+            waiting,
+            tuple(sorted(self._superseded)),
+            tuple(self._taken.items()),
+        )
+
+    def restore(self, state: DeliveryState) -> None:
+        """Replace the signs by saved ones."""
+        self.clear()
+        self._created.update(state.created)
+        self._asked.update(state.asked)
+        self._superseded.update(state.superseded)
+        self._taken.update(state.taken)
+        for var_id, seqno, since, behind in state.waiting:
+            self._waiting[var_id] = each = _Waiting(seqno, since)
+            each.behind = behind
 
     # -- result -------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus, VardisStatus
@@ -22,13 +23,26 @@ from dcp_stack.effects import Dropped, Effect
 from .compose import Composer
 from .confirms import Confirm
 from .core import Core
-from .database import DBEntry
-from .delivery import Obstacle
+from .database import DatabaseState, DBEntry
+from .delivery import DeliveryState, Obstacle
 from .known_instructions import instructions_of
 from .receive import Receiver
 from .services import VariableServices
 from .state_table import Action, Event
 from .wire import Extractor
+
+
+class VardisState(msgspec.Struct, frozen=True, gc=False):
+    """The content of a VarDis entity (:meth:`Vardis.save`). Equal contents are equal and have the same hash.
+
+    ``timers``: times of the last buffer check and the last scrubbing (monotonic ns), whether BP has sent a payload
+    since, and the wall time of the last timeout.
+    """
+
+    active: bool
+    database: DatabaseState
+    delivery: DeliveryState
+    timers: tuple[int, int, bool, int]
 
 
 class Vardis(VariableServices):
@@ -272,6 +286,26 @@ class Vardis(VariableServices):
             if self._core.cell(Event.TIMED_OUT, entry).action is Action.DELETE:
                 self._database.mark_deleted(entry)
                 self._core.changed("deleted", entry)
+
+    # -- saving -------------------------------------------------------------------------------------------------
+
+    def save(self) -> VardisState:
+        """Return the content of this entity as a value.
+
+        Parameters, the registration with BP, and the payload that BP holds are not part of it.
+        """
+        timers = (self._last_check, self._last_scrub, self._indicated, self._wall)
+        return VardisState(self.active, self._database.save(), self._core.delivery.save(), timers)
+
+    def restore(self, state: VardisState) -> None:
+        """Replace the content by a saved one, of an entity with the same profile, identifier and parameters.
+
+        From now on this entity behaves as the saved one. Call it after :meth:`start`.
+        """
+        self._core.active = state.active
+        self._database.restore(state.database)
+        self._core.delivery.restore(state.delivery)
+        self._last_check, self._last_scrub, self._indicated, self._wall = state.timers
 
     # -- inspection ---------------------------------------------------------------------------------------------
 

@@ -144,11 +144,15 @@ def _codec(profile: str) -> Codec:
 class Suite:
     """The suite with one node in the process, the reference node or a mutant, on one profile."""
 
-    def __init__(self, profile: str, make: MakeNode = plain_node, pics: Pics | None = None) -> None:
-        codec = _codec(profile)
-        self._sut = InProcess(reference_config(codec), make=make)
-        upper = self._sut.upper_tester()
-        self._runner = Runner(Session(codec, self._sut.lower_tester(), upper, pics or Pics()), self._sut)
+    def __init__(
+        self, profile: str, make: MakeNode = plain_node, pics: Pics | None = None, *, runner: Runner | None = None
+    ) -> None:
+        """``runner``: that of a node outside of this process, instead of one that ``make`` makes."""
+        if runner is None:
+            codec = _codec(profile)
+            sut = InProcess(reference_config(codec), make=make)
+            runner = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), pics or Pics()), sut)
+        self._runner = runner
         self._runner.prepare()
         self._begun = False
 

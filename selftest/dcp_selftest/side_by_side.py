@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Final
 
 import msgspec
 from dcp_conformance.execution.concurrent.executor import WIDTH
+from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
+from dcp_conformance.reference.process import reference_process
+from dcp_conformance.test_system.session import Session
+
+from dcp_codec.codec import Codec
 
 from .mutants import Mutant, all_mutants
 from .runner import PROFILES, Suite, cases, in_processes
@@ -44,8 +51,19 @@ class Comparison(msgspec.Struct, frozen=True):
     differences: tuple[Difference, ...]
     killed: tuple[bool, bool]
     """Whether a case that names a requirement of the mutant failed: in succession, and concurrently."""
+    period: int = 0
+    """The beacon period in ms of the node on a virtual Ethernet; 0: in virtual time."""
     our_node: bool = False
     """Whether the comparison is that of the reference node, without a mutant."""
+
+    @property
+    def false_passes(self) -> tuple[Difference, ...]:
+        """The cases that fail in succession and pass concurrently."""
+        return tuple(
+            each
+            for each in self.differences
+            if each.alone.startswith(Verdict.FAIL) and each.side_by_side.startswith(Verdict.PASS)
+        )
 
     @property
     def survives(self) -> bool:
@@ -65,7 +83,9 @@ class Comparisons(msgspec.Struct, frozen=True):
         ours = [each for each in self.comparisons if each.our_node]
         return (
             f"reference node on {len(ours)} profiles: {sum(len(each.differences) for each in ours)} verdicts differ; "
-            f"{len(mutants)} mutants: {sum(each.survives for each in mutants)} detected by cases in succession only, "
+            f"{len(mutants)} comparisons with mutants: {sum(all(each.killed) for each in mutants)} detected in both "
+            f"modes, {sum(each.survives for each in mutants)} by cases in succession only, "
+            f"{sum(len(each.false_passes) for each in mutants)} failed cases pass side by side, "
             f"{sum(len(each.differences) for each in mutants)} verdicts differ, of {len(different)} mutants"
         )
 
@@ -83,12 +103,13 @@ def compare(
     companions: int = COMPANIONS,
     seed: int = 1,
     width: int = WIDTH,
+    period: int = 0,
 ) -> Comparison:
     """Execute cases against a mutant in succession and concurrently, and compare the verdicts.
 
     With a mutant, the cases that name one of its requirements are executed, and ``companions`` others, drawn with
     ``seed``. Without a mutant, all cases of ``suite`` are executed against the reference node. ``width`` is the number
-    of concurrent cases.
+    of concurrent cases. ``period``: see :class:`Comparison`.
     """
     rng = random.Random(f"{seed} {mutant.id if mutant else ''}")  # noqa: S311 - a draw of cases, no secret
     chosen = list(suite)
@@ -97,9 +118,10 @@ def compare(
         others = [case.id for case in suite if case.id not in named and case.id != SANITY]
         drawn = named | set(rng.sample(others, min(companions, len(others))))
         chosen = [case for case in suite if case.id in drawn]
-    make = plain_node if mutant is None else mutant.make
-    alone = _verdicts(Suite(profile, make).run(chosen))
-    beside = _verdicts(Suite(profile, make).run_side_by_side(chosen, width))
+    with _suite(mutant, profile, period) as suite_alone:
+        alone = _verdicts(suite_alone.run(chosen))
+    with _suite(mutant, profile, period) as suite_beside:
+        beside = _verdicts(suite_beside.run_side_by_side(chosen, width))
     name = mutant.id if mutant is not None else "our node"
     differences = tuple(
         Difference(name, profile, case, _text(alone.get(case)), _text(beside.get(case)))
@@ -107,7 +129,18 @@ def compare(
         if _verdict(alone.get(case)) is not _verdict(beside.get(case))
     )
     killed = (_killed(mutant, alone), _killed(mutant, beside))
-    return Comparison(name, profile, differences, killed, mutant is None)
+    return Comparison(name, profile, differences, killed, period, mutant is None)
+
+
+@contextmanager
+def _suite(mutant: Mutant | None, profile: str, period: int) -> Iterator[Suite]:
+    if not period:
+        yield Suite(profile, plain_node if mutant is None else mutant.make)
+        return
+    program = ("dcp_stack.cli", "run") if mutant is None else ("dcp_selftest.mutants", mutant.id)
+    codec, pics = Codec(profile), Pics(pixit=Testing(beacon_period_ms=period))
+    with reference_process(codec, beacon_period_ms=period, link="ethernet", program=program) as node:
+        yield Suite(profile, runner=Runner(Session(codec, node.lower, node.upper, pics), node.control))
 
 
 def compare_all(
@@ -116,16 +149,22 @@ def compare_all(
     profiles: Sequence[str] = (),
     jobs: int | None = None,
     seed: int = 1,
+    periods: Sequence[int] = (),
     on_start: Callable[[int], None] = lambda _: None,
     on_result: Callable[[Comparison], None] = lambda _: None,
 ) -> Comparisons:
     """Compare the reference node on ``profiles`` (default: ``PROFILES``), and each mutant on its newest version.
 
     ``jobs`` is the number of processes, by default one for each processor. ``on_start`` is called with the number of
-    comparisons, and ``on_result`` with each comparison when it is complete.
+    comparisons, and ``on_result`` with each comparison when it is complete. ``periods``: beacon periods in ms at which
+    nodes on a virtual Ethernet are compared instead of nodes in virtual time; then the reference node only on
+    ``profiles``.
     """
-    tasks = [("", name) for name in profiles or PROFILES]
-    tasks += [(each.id, each.profile) for each in mutants]
+    tasks = [("", name, period) for name in profiles for period in periods]
+    tasks += [(each.id, each.profile, period) for each in mutants for period in periods]
+    if not periods:
+        tasks = [("", name, 0) for name in profiles or PROFILES]
+        tasks += [(each.id, each.profile, 0) for each in mutants]
     on_start(len(tasks))
     found = []
     for _, comparison in in_processes(partial(_task, seed), tasks, jobs):
@@ -134,9 +173,9 @@ def compare_all(
     return Comparisons(tuple(sorted(found, key=lambda each: (not each.our_node, each.mutant, each.profile))))
 
 
-def _task(seed: int, task: tuple[str, str]) -> Comparison:
-    mutant, profile = task
-    return compare(all_mutants()[mutant] if mutant else None, profile, cases(), seed=seed)
+def _task(seed: int, task: tuple[str, str, int]) -> Comparison:
+    mutant, profile, period = task
+    return compare(all_mutants()[mutant] if mutant else None, profile, cases(), seed=seed, period=period)
 
 
 def _killed(mutant: Mutant | None, results: Mapping[str, CaseResult]) -> bool:

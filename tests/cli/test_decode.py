@@ -113,14 +113,13 @@ def test_csv_has_one_row_per_record(run, tmp_path, good):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (("--sender", "02:00:00:00:00:02"), [4, 5]),
-        (("--sender", "02-00-00-00-00-02"), [4, 5]),
-        (("--protocol", "vardis"), [1, 2, 3, 4, 5]),
-        (("--protocol", "srp"), []),
-        (("--container", "summaries", "--variable", "9"), [1, 2, 3, 4, 5]),
-        (("--container", "ICTYPE-CREATE-VARIABLES", "--variable", "9"), []),
-        (("--container", "UPDATES"), []),
-        (("--variable", "8"), []),
+        (("--where", "senderId == 02:00:00:00:00:02"), [4, 5]),
+        (("-w", "vardis"), [1, 2, 3, 4, 5]),
+        (("-w", "srp"), []),
+        (("-w", 'icName == "SUMMARIES" and varId == 9'), [1, 2, 3, 4, 5]),
+        (("-w", 'icName == "UPDATES"'), []),
+        (("-w", "varId == 8"), []),
+        (("-w", "senderId == 02:00:00:00:00:02", "--frames", "5-"), [5]),
         (("--frames", "2-3"), [2, 3]),
         (("--frames", "4-"), [4, 5]),
         (("--from", "+0.2"), [3, 4, 5]),
@@ -168,10 +167,10 @@ def test_hex_of_another_ether_type(run, good):
     assert "EtherType 0x0800 at octet 12" in result.err
 
 
-def test_an_unknown_container_is_refused_as_filter(run, tmp_path, good):
-    result = run("decode", "--container", "UPDATE", write(tmp_path / "a.pcap", *good))
+def test_an_unknown_field_in_a_condition_is_refused(run, tmp_path, good):
+    result = run("decode", "--where", "varID2 == 1", write(tmp_path / "a.pcap", *good))
     assert result.status == 2
-    assert "'UPDATE' is not one of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
+    assert "'varID2' is not the name of a field" in " ".join(result.err.split())
 
 
 # -- what is wrong with frames ----------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ def test_filter_copies_octet_for_octet(run, tmp_path):
     out = tmp_path / "deletes.pcap.gz"
     done = run("filter", CRUD, out, "-w", "vardis.icType == 6")
     assert done.status == 0
-    shown = run("decode", CRUD, "--container", "DELETE-VARIABLES", "--format", "jsonl").out.splitlines()
+    shown = run("decode", CRUD, "--where", 'icName == "DELETE-VARIABLES"', "--format", "jsonl").out.splitlines()
     wanted = {json.loads(line)["time_ns"] for line in shown}
     assert contents(out) == [each for each in contents(CRUD) if each[0] in wanted]
     assert f"{len(wanted)} of {len(contents(CRUD))} frames" in done.err

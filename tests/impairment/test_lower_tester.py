@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.impairment import Directions, ImpairedLowerTester, impaired, incidents_text, parse_directions
+from dcp_conformance.impaired_link import Directions, ImpairedLowerTester, impaired, incidents_text, parse_directions
 from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth
 
 from dcp_codec.impairment import Impairment, parse_impairment

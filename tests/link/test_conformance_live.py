@@ -104,13 +104,13 @@ def test_the_node_is_reset_between_cases(node):
         peer = bench.peer()
         peer.send(peer.create(bench.var_id()))
         heard = bench.until(lambda heard: heard.beacon)
-        bench.check(heard, "a beacon")
+        bench.verdicts.check(heard, "a beacon")
         known.append(len(bench.must("RTDB-DescribeDatabase").result["variables"]))
         bench.must("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=333)
         protocols = bench.must("BP-ListRegisteredProtocols").result["protocols"]
-        bench.check(len(protocols) == 3, "three protocols", str(protocols))
+        bench.verdicts.check(len(protocols) == 3, "three protocols", str(protocols))
         period = bench.must("BP-GetParameters").result["parameters"]["BPPAR_BEACON_PERIOD"]
-        bench.check(period == 333, "the parameter is set", str(period))
+        bench.verdicts.check(period == 333, "the parameter is set", str(period))
 
     for _ in range(3):
         result = runner.run(made_up(create))
@@ -132,12 +132,12 @@ def test_time_stamps_are_those_of_the_kernel(node):
         eventually(lambda: sent() >= first + 12, "beacons are sent")
         late = bench.waiting.wait_ns(0)
         times = [each.time for each in late]
-        bench.check(len(times) >= 12, "beacons that waited", str(len(times)))
+        bench.verdicts.check(len(times) >= 12, "beacons that waited", str(len(times)))
         # Also those of a node that was kept waiting are a quarter of a period apart.
         spread = times[-1] - times[0]
-        bench.check(spread >= 0.1 * 1e9, "are told apart in time", f"{spread} ns")
+        bench.verdicts.check(spread >= 0.1 * 1e9, "are told apart in time", f"{spread} ns")
         dropped = bench.lower.health().dropped
-        bench.check(dropped == 0, "none is lost", f"{dropped} are")
+        bench.verdicts.check(dropped == 0, "none is lost", f"{dropped} are")
 
     result = runner.run(made_up(wait))
     assert result.verdict is Verdict.PASS, result.reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -58,8 +59,9 @@ def test_shown_output_is_printed(command, shown, tmp_path, monkeypatch, capsys):
     damaged_flight(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
+    words = shlex.split(command)
     with pytest.raises(SystemExit):
-        _COMMANDS[command.split()[0]](command.split()[1:])
+        _COMMANDS[words[0]](words[1:])
     printed = capsys.readouterr()
     lines = [line.rstrip() for line in (printed.err + printed.out).splitlines()]
     expected = [line.rstrip() for line in shown if line.strip() not in ("", "...")]

@@ -18,7 +18,7 @@ RAW = tomllib.loads(resources.files("dcp_spec").joinpath("data/readings.toml").r
 
 
 def test_contradictions_and_hazards_are_complete_and_in_order():
-    assert [entry["id"] for entry in RAW] == [f"X{n:02}" for n in range(1, 55)] + [f"H{n}" for n in range(1, 10)]
+    assert [entry["id"] for entry in RAW] == [f"X{n:02}" for n in range(1, 55)] + [f"H{n}" for n in range(1, 14)]
     assert list(readings()) == [entry["id"] for entry in RAW]
 
 

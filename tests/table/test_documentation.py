@@ -26,7 +26,7 @@ QUERIES = dict(re.findall(r"### (.*)\n(?:(?!#|```).*\n)*```sql\n((?:.*\n)*?)```"
 LOSS, AGE, DELAY, OVERHEAD = (
     "Loss per link over time",
     "Age of information per neighbour pair",
-    "Dissemination delay of each variable update, hop by hop",
+    "Dissemination delay of each variable update, node by node",
     "Overhead per byte",
 )
 
@@ -123,10 +123,10 @@ def test_delay(frames, folder, monkeypatch):
     for row in rows:
         first = versions[row["varId"], row["seqno"]][row["round"]]
         order = sorted(first.values())
-        assert order[row["hop"]] == first[row["sender"]]
+        assert order[row["place"]] == first[row["sender"]]
         assert row["delay_ms"] == pytest.approx((first[row["sender"]] - order[0]) / 1e6)
-        before = order[row["hop"] - 1] if row["hop"] else None
-        assert row["hop_ms"] == (None if before is None else pytest.approx((order[row["hop"]] - before) / 1e6))
+        before = order[row["place"] - 1] if row["place"] else None
+        assert row["step_ms"] == (None if before is None else pytest.approx((order[row["place"]] - before) / 1e6))
 
 
 def test_overhead(frames, folder, monkeypatch):

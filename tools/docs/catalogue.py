@@ -70,6 +70,9 @@ def readings_page() -> str:
             if it.implementations:
                 lines.append(f"*Implementations.* {code(it.implementations)}")
             lines.append("\n".join(f"* `{each.name}`: {code(each.description)}" for each in it.alternatives))
+            if it.kind == "hazard":
+                until = f"{it.since} to {it.until}" if it.until else f"since {it.since}"
+                lines.append(f"*Versions:* {until}")
             lines.append(f"*Sections:* {', '.join(f'`{each}`' for each in it.sections)}")
             if it.id in users:
                 ids = ", ".join(f"[{name}](requirements.md#{name.lower()})" for name in users[it.id])

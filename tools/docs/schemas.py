@@ -15,20 +15,19 @@ from .markdown import code, page, table
 
 def schemas(root: Path) -> dict[str, tuple[str, Mapping[str, Any]]]:
     """Return file name -> what it describes, and the schema."""
-    data = root / "conformance" / "dcp_conformance" / "data"
 
     def read(name: str) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = json.loads((data / name).read_text(encoding="utf-8"))
+        found: Mapping[str, Any] = json.loads((root / name).read_text(encoding="utf-8"))
         return found
 
     return {
         "results.schema.json": (
             "`results.json` of a report; written by `dcp-conformance run`, `check`, `replay` and `fuzz`",
-            read("results.schema.json"),
+            read("conformance/dcp_conformance/data/results.schema.json"),
         ),
         "upper-tester.schema.json": (
             "Messages of the upper tester interface, and of the control socket of `dcp-node`",
-            read("upper-tester.schema.json"),
+            read("spec/dcp_spec/data/upper-tester.schema.json"),
         ),
         "beacon.schema.json": (
             "A beacon as JSON in profile `dcp-2.0`: `dcp-codec decode --format jsonl`, `dcp-codec encode`; for another "

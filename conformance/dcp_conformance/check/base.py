@@ -8,8 +8,8 @@ from typing import Any, ClassVar, NamedTuple
 from dcp_spec.constants import Features, features
 from dcp_spec.profile.definition import Profile
 
+from dcp_codec.analysis.ledger import Ledger, News
 from dcp_codec.codec import Codec
-from dcp_codec.values import VarSumm
 from dcp_codec.views.dissect import Dissection
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Case, Kind
@@ -19,7 +19,7 @@ from dcp_conformance.model.verdict import Verdict
 
 from .lifetimes import Lifetimes
 from .senders import Senders
-from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statement_of
+from .statements import SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statement_of
 from .stations import Origin, Stations
 
 #: Maximum number of findings of one verdict that an invariant keeps with their frames; further ones are only counted.
@@ -39,16 +39,6 @@ class Trace(NamedTuple):
     """ns since 1970."""
     seqno: int | None
     octets: bytes
-
-
-class News(NamedTuple):
-    """A record other than a summary that repeats the sequence number which the node stated last."""
-
-    statement: Statement
-    """The record."""
-    before: Statement | None
-    """The node's previous create, update or summary of the variable. None if there is none, if beacons of the node are
-    missing since then, or if the node has deleted the variable since then."""
 
 
 class Seen:
@@ -151,26 +141,6 @@ Evidence = Seen | Trace | Statement | Instruction | Mark
 """Types that a finding accepts as evidence: frames, records, and places in frames."""
 
 
-Stamp = tuple[int, int]
-"""Number of a frame and its time in ns since 1970."""
-
-
-class _Spoken:
-    """The sequence numbers that a node has stated since the last gap in its beacons."""
-
-    __slots__ = ("again", "last", "numbers", "unbroken")
-
-    def __init__(self, unbroken: int) -> None:
-        self.unbroken = unbroken
-        """Value of :attr:`Sender.unbroken` at the time of the last reset of this object."""
-        self.numbers: dict[int, int] = {}
-        """Variable -> the sequence number that the node stated last."""
-        self.last: dict[int, Statement] = {}
-        """Variable -> the first record with that number, or a later one that is not a summary."""
-        self.again: dict[int, Stamp] = {}
-        """Variable -> the last summary that repeats that number after the record in ``last``."""
-
-
 class Context:
     """State that all invariants share: profile, PICS, and what the recording has shown so far."""
 
@@ -199,13 +169,12 @@ class Context:
         """Time of the current frame in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
         """Requirement -> the reason why it does not get the verdict pass."""
+        self.hears: Callable[[bytes, bytes], bool | None] = lambda _listener, _speaker: None
+        """Whether a node can hear another one, as the user has told; None if nothing is told about the listener."""
         self.changed = False
         """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
-        self._spoken: dict[bytes, _Spoken] = {}
-        self._pairs = 0
-        self.on_gap: list[Callable[[bytes, Mapping[int, Stamp]], None]] = []
-        """Functions to call when beacons of a node are missing, before its statements are forgotten. Arguments: the
-        node, and its last repeated summaries by variable."""
+        self.ledger = Ledger(MOST_VARIABLES)
+        """The states of all variables at all nodes."""
 
     def withhold(self, requirement: str, why: str) -> None:
         """Keep a requirement from the verdict pass; the first reason is kept.
@@ -220,85 +189,17 @@ class Context:
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
         if seen.parts:
-            self._sort(seen)
+            sender = self.senders.get(seen.sender)
+            if sender is None:
+                seen.news = [News(each, None) for each in seen.statements]
+            else:
+                seen.news, seen.again = self.ledger.feed_parts(
+                    seen.number, seen.time, seen.sender, seen.parts, sender.unbroken
+                )
             for each, before in seen.news:
                 # A later update or summary of a known variable has no effect on its lifetime.
                 if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
                     self.lives.feed(each)
-
-    def repeated_by_summary(self, node: bytes, var_id: int) -> Stamp | None:
-        """Return the last summary with which a node repeated the number of a variable.
-
-        None if there is none, or if the node has sent another record of the variable since then.
-        """
-        spoken = self._spoken.get(node)
-        return None if spoken is None else spoken.again.get(var_id)
-
-    def _sort(self, seen: Seen) -> None:
-        """Split the records into news and repeated summaries.
-
-        Most records of a recording are repeated summaries, and few rules need them one by one.
-        """
-        node = seen.sender
-        sender = self.senders.get(node)
-        if sender is None:
-            seen.news = [News(each, None) for each in seen.statements]
-            return
-        spoken = self._spoken.get(node)
-        if spoken is None:
-            spoken = self._spoken[node] = _Spoken(sender.unbroken)
-        elif spoken.unbroken != sender.unbroken:
-            self._forget(node, spoken, sender.unbroken)
-        numbers, stamp, count = spoken.numbers, (seen.number, seen.time), 0
-        news: list[News] = []
-        for kind, records, ids in seen.parts:
-            if kind is not SUMMARY:
-                news += [self._news(statement_of(kind, each, seen.heard, node), spoken) for each in records]
-                continue
-            numbers_now = [each.seqno for each in records]
-            held = list(map(numbers.get, ids))
-            if held == numbers_now:
-                spoken.again.update(dict.fromkeys(ids, stamp))
-                count += len(ids)
-                continue
-            for record, var_id, number in zip(records, ids, numbers_now, strict=True):
-                # Not the number in ``held``: the container may have several records of a variable.
-                if numbers.get(var_id) == number:
-                    spoken.again[var_id] = stamp
-                    count += 1
-                else:
-                    news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), spoken))
-        seen.news, seen.again = news, count
-
-    def _news(self, each: Statement, spoken: _Spoken) -> News:
-        """Return a record together with the node's previous one, and store it."""
-        kind, var_id = each.kind, each.var_id
-        before = spoken.last.get(var_id)
-        if before is not None and (stamp := spoken.again.get(var_id)) is not None:
-            number = before.number
-            before = Statement(SUMMARY, VarSumm(var_id, number), *stamp, each.sender, var_id, number)
-        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            if before is None:
-                if self._pairs >= MOST_VARIABLES:
-                    return News(each, None)
-                self._pairs += 1
-            spoken.last[var_id], spoken.numbers[var_id] = each, each.number
-            spoken.again.pop(var_id, None)
-        elif kind is DELETE and before is not None:
-            self._pairs -= 1
-            del spoken.last[var_id], spoken.numbers[var_id]
-            spoken.again.pop(var_id, None)
-        return News(each, before)
-
-    def _forget(self, node: bytes, spoken: _Spoken, unbroken: int) -> None:
-        """Forget a node's statements after missing beacons: it may have changed any number in between."""
-        for call in self.on_gap:
-            call(node, spoken.again)
-        self._pairs -= len(spoken.last)
-        spoken.unbroken = unbroken
-        spoken.numbers.clear()
-        spoken.last.clear()
-        spoken.again.clear()
 
     @property
     def profile(self) -> Profile:

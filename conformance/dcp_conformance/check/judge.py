@@ -6,15 +6,15 @@ import shlex
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
-from dcp_codec.analysis.holdings import History
+from dcp_codec.analysis.chain import sources
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
-from dcp_codec.values import Beacon
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.declared import declarations
@@ -34,8 +34,8 @@ from dcp_conformance.model.verdict import Verdict, worst
 
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
-from .reception import reception_of
-from .reception.links import summary
+from .reception import Reception, reception_of
+from .reception.links import Whole, summary
 from .rules import bp as rules_bp
 from .rules import data as rules_data
 from .rules import dialogue as rules_dialogue
@@ -44,7 +44,7 @@ from .rules import repetition as rules_repetition
 from .rules import srp as rules_srp
 from .rules import vardis as rules_vardis
 from .rules import variables as rules_variables
-from .statements import ASK_CREATE, ASK_UPDATE, UPDATE
+from .topology import Topology
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -121,24 +121,28 @@ class Judge:
         command: str = "",
         period_known: bool = True,
         enough: int | None = None,
+        topology: Topology | None = None,
     ) -> None:
         """Prepare the rules for the profile of ``codec``.
 
         ``recording``: name of the recording in the result. ``path``: its file, for the commands that show a frame.
         ``command``: the command line in the result. ``period_known``: False if the beacon period in ``pics`` was
         measured in this recording, which therefore cannot break it. ``enough``: minimum number of occasions and of
-        beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``.
+        beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``. ``topology``: the links
+        that the user tells; None: they are inferred.
         """
         self._codec = codec
         self._pics = pics
         self._recording = recording
         self._path = path or recording
         self._enough = enough
-        self._history = History(codec.profile.types.node_id.representation)
         self._first: int | None = None
         self._clock = RecorderClock()
         self._command = command
         self._context = Context(codec, pics, period_known=period_known)
+        self._topology = topology
+        if topology is not None:
+            self._context.hears = topology.hears
         self._rules = [rule(self._context) for rule in RULES]
         self._active = [rule for rule in self._rules if not rule.applies()]
         # Rules without a method of their own wait for the end.
@@ -149,8 +153,7 @@ class Judge:
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
-        self._odd: dict[bytes, set[int]] = {}
-        """Node -> variables that it has requested although it holds them, until it states their numbers again."""
+        self._summary: dict[tuple[bytes, bytes], Whole] | None = None
 
     def feed(self, frame: Frame) -> None:
         """Judge the next frame of the recording; frames of other traffic and truncated frames are only counted."""
@@ -175,38 +178,47 @@ class Judge:
         if len(self._recent) > _KEPT:
             self._recent.popitem(last=False)
         self._context.feed(seen)
-        if seen.news and heard.beacon is not None:
-            self._hold(seen, heard.beacon)
         for feed in self._feeds:
             feed(seen)
         if self._context.changed:
             self._cite()
 
-    def _hold(self, seen: Seen, beacon: Beacon) -> None:
-        """Follow the variables that the sender holds.
+    @property
+    def codec(self) -> Codec:
+        """The codec of the profile."""
+        return self._codec
 
-        New records are enough, except for a node that requests a variable which it holds: after that its repeated
-        summaries count, too.
-        """
-        node, odd = seen.sender, self._odd.get(seen.sender)
-        asked = set[int]()
-        records = []
-        for each, before in seen.news:
-            kind = each.kind
-            # A repeated update changes nothing.
-            if kind is not UPDATE or before is None or each.number != before.number:
-                records.append(each.record)
-            if before is not None and (kind is ASK_CREATE or (kind is ASK_UPDATE and each.number != before.number)):
-                asked.add(each.var_id)
-        if not odd and not asked:
-            self._history.feed_records(seen.number, seen.time, node, records)
-            return
-        self._history.feed(seen.number, seen.time, node, beacon)
-        odd = {*(odd or ()), *asked}
-        for kind, _, ids in seen.parts:
-            if kind is not ASK_CREATE and kind is not ASK_UPDATE:
-                odd.difference_update(set(ids) - asked)
-        self._odd[node] = odd
+    @property
+    def ledger(self) -> Ledger:
+        """The states of all variables at all nodes."""
+        return self._context.ledger
+
+    @property
+    def reception(self) -> Reception:
+        """The links between nodes, and the proofs of reception."""
+        return reception_of(self._context)
+
+    @property
+    def links_origin(self) -> str:
+        """A sentence about the origin of the links."""
+        if self._topology is None:
+            return "links: inferred from reactions"
+        text = f"links: as told by {self._topology.origin}; what the reactions show is beside them"
+        unknown = self._topology.unknown(self._senders)
+        return f"{text}; {', '.join(unknown)} fit no node, or several" if unknown else text
+
+    def hears(self, listener: bytes, speaker: bytes) -> bool | None:
+        """Return whether a node hears another one, as told or inferred (after :meth:`result`); None if unknown."""
+        if (told := self._context.hears(listener, speaker)) is not None:
+            return told
+        if self._summary is None:
+            self._summary = summary(self.reception.links)
+        link = self._summary.get((listener, speaker))
+        if link is None:
+            return None
+        if link.alone and link.at_least >= _SOME:
+            return True
+        return False if link.share <= _SOME and link.trials >= _TRIALS else None
 
     def restarted(self, node_id: bytes) -> None:
         """Announce that a node has been restarted since the last frame.
@@ -243,6 +255,7 @@ class Judge:
         self._cite()
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
+        about.append(self.links_origin)
         if self.other:
             about.append(f"{self.other} frames of other traffic were skipped")
         if self.cut:
@@ -272,19 +285,35 @@ class Judge:
             run,
             requirements=decided,
             occasions=dict(sorted(occasions.items())),
-            holdings=self._history.as_json(),
+            holdings=self._holdings(),
             links=tuple(self._links()),
         )
 
+    def _holdings(self) -> dict[str, Any]:
+        """Return the states of all variables for the result."""
+        ledger = self.ledger
+        hops = sources(ledger.entries(), ledger.producers, self.hears)
+        came = [(hop.source, 0 if hop.frame is None else hop.frame[0]) for hop in hops]
+        return ledger.as_json(self._codec.profile.types.node_id.representation, came)
+
     def _links(self) -> Iterator[LinkResult]:
         """Yield the links between nodes for which the recording shows either reactions or their absence."""
+        nodes = list(self._senders)
+        told: set[tuple[bytes, bytes]] = set()
+        if self._topology is not None:
+            told = {(a, b) for a in nodes for b in nodes if a != b and self._context.hears(a, b)}
         for (listener, speaker), link in sorted(summary(reception_of(self._context).links).items()):
             if link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS):
                 continue
+            told.discard((listener, speaker))
             until = None if link.lasts or self._first is None else round((link.end - self._first) / 1e9, 3)
+            is_told = self._context.hears(listener, speaker)
             yield LinkResult(
-                name(listener), name(speaker), round(link.share, 3), round(link.reactions), link.trials, until
-            )
+                name(listener), name(speaker), round(link.share, 3), round(link.reactions), link.trials, until,
+                told=is_told or False,
+            )  # fmt: skip
+        for listener, speaker in sorted(told):
+            yield LinkResult(name(listener), name(speaker), 0.0, 0, 0, told=True)
 
     def _case(self, rule: Invariant) -> CaseResult:
         """Return the result of one rule."""

@@ -26,6 +26,8 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
+from .tables import write_tables
+from .topology import Topology
 from .versions import Versions, undecided, weakness
 
 #: Number of frames at the start of a recording from which the beacon period is estimated, and the minimum number of
@@ -69,45 +71,72 @@ def judge_versions(
     period_known: bool = False,
     show_progress: bool = False,
     name_damage: bool = False,
+    topology: Topology | None = None,
+    tables: Path | None = None,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
-    cannot be read of the file; the notes of the results have it, too.
+    cannot be read of the file; the notes of the results have it, too. ``topology``: the links that the user tells.
+    ``tables``: a folder for the tables of the ledger.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
+    """
+    found, judges, notes = judges_of(
+        path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
+        show_progress=show_progress, topology=topology,
+    )  # fmt: skip
+    for each in notes if name_damage else ():
+        say(f"{path}: {each}", err=True)
+    results = [(judge.result([*found.notes, *notes]), judge.codec) for judge in judges]
+    if tables is not None:
+        for judge, (run, codec) in zip(judges, results, strict=True):
+            write_tables(judge, run, tables if len(judges) == 1 else tables / codec.profile.name)
+    return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
+
+
+def judges_of(
+    path: Path,
+    profile: str | None,
+    pics: Pics,
+    *,
+    ether_type: str | None = None,
+    command: str = "",
+    period_known: bool = False,
+    show_progress: bool = False,
+    topology: Topology | None = None,
+) -> tuple[_Choice, list[Judge], list[str]]:
+    """Read a recording; return the profile, the judges that have received the frames, and notes about damage.
+
+    There are two judges if the recording has beacons of two versions. Raises :class:`UsageError` as
+    :func:`judge_recording` does.
     """
     found = _Choice(path, profile or pics.pixit.profile, ether_type)
     codecs = [found.codec, *([found.other] if found.other is not None else [])]
     versions = Versions(codecs[0], codecs[1]) if len(codecs) > 1 else None
     periods = [pics if period_known else _with_period(pics, _period(path, codec)) for codec in codecs]
-    notes: list[str] = []
     try:
         with open_capture(path) as reader:
             # File names are octets: make them valid Unicode, so that the report can be written.
             name = path.name.encode("utf-8", "backslashreplace").decode()
             judges = [
-                Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
+                Judge(
+                    codec, each, recording=name, path=str(path), command=command, period_known=period_known,
+                    topology=topology,
+                )
                 for codec, each in zip(codecs, periods, strict=True)
-            ]
+            ]  # fmt: skip
             with progress(reader, str(path), show=show_progress) as advance, few_collections():
                 for frame in reader:
                     judges[0 if versions is None else versions.of(frame)].feed(frame)
                     advance()
-            notes += [problem.message for problem in reader.problems]
-            for each in notes if name_damage else ():
-                say(f"{path}: {each}", err=True)
+            notes = [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None
     if not any(judge.frames for judge in judges):
         raise UsageError(f"{path}: none of its {judges[0].other} frames is DCP in the profile {codecs[0].profile.name}")
-    results = [
-        (judge.result([*found.notes, *notes]), codec)
-        for judge, codec in zip(judges, codecs, strict=True)
-        if judge.frames
-    ]
-    return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
+    return found, [judge for judge in judges if judge.frames], notes
 
 
 class _Choice:

@@ -16,6 +16,7 @@ main = CommandLine(
         "list": "Show the test cases.",
         "probe": "Draft the PICS of an implementation by observation and queries.",
         "check": "Judge recordings of a network.",
+        "why": "Tell why a node holds the value that it holds.",
         "replay": "Replay a recording to an implementation.",
         "fuzz": "Find inputs that break an implementation.",
         "report": "Generate the page of a run again, or compare several runs in one table.",

@@ -13,6 +13,7 @@ import msgspec
 from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, say
 from dcp_conformance.errors import UsageError
 
+from .links import link_options, links_of
 from .options import EXIT_STATUS, Factor, as_typed
 
 if TYPE_CHECKING:
@@ -35,8 +36,15 @@ if TYPE_CHECKING:
     metavar="MS",
     help="Beacon period of the nodes.  [default: estimated from the recording]",
 )
+@link_options
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@click.option(
+    "--tables",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write the states of variables, the links and the findings there: holdings.csv, links.csv, events.csv.",
+)
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Show only findings and damage of the files.")
 def command(
@@ -45,8 +53,11 @@ def command(
     ether_type: str | None,
     pics: Path | None,
     beacon_period: float | None,
+    hears: tuple[str, ...],
+    topology: Path | None,
     expected: Path | None,
     report_dir: Path | None,
+    tables: Path | None,
     *,
     show_requirements: bool,
     quiet: bool,
@@ -65,6 +76,7 @@ def command(
 
     from .display import console, print_findings, print_summary
 
+    links = links_of(hears, topology)
     known = load_pics(pics) if pics is not None else Pics()
     stated = beacon_period is not None or (pics is not None and _states_period(pics))
     if beacon_period is not None:
@@ -77,6 +89,8 @@ def command(
         words = ["check", str(capture)]
         for option, value in (("profile", profile), ("ether-type", ether_type), ("pics", pics)):
             words += [f"--{option}", str(value)] if value is not None else []
+        words += [word for each in hears for word in ("--hears", each)]
+        words += ["--topology", str(topology)] if topology is not None else []
         words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
         try:
             runs = judge_versions(
@@ -88,6 +102,8 @@ def command(
                 period_known=stated,
                 show_progress=True,
                 name_damage=quiet,
+                topology=links,
+                tables=tables if tables is None or len(captures) == 1 else tables / capture.stem,
             )
         except UsageError as error:
             # The other recordings are judged all the same.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shlex
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +28,6 @@ EXIT_STATUS = (
 )
 #: Time limit in seconds for minimising a finding of a live implementation.
 _MINIMISING = 60.0
-#: Number of sequences of a sweep in one comparison with the model, which begins with a reset or restart.
-_SWEPT_AT_ONCE = 40
 
 
 @click.group("fuzz", epilog=EXIT_STATUS)
@@ -42,14 +39,13 @@ def command() -> None:
     """
 
 
-def _live(options: dict[str, Any], *, differential: bool) -> int:
+def _live(options: dict[str, Any]) -> int:
     """Run a campaign against an SUT that is opened as by ``dcp-conformance run``; return the exit status."""
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, NotAliveError
     from dcp_conformance.fuzz.execute.stack import StackTarget
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.generate.directed import Directed
     from dcp_conformance.fuzz.generate.sequence_batches import Batches
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.fuzz.generate.sweep import SweepFirst
@@ -63,15 +59,14 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     described, _ = describe(where)
     options = {**options, "profile": options["profile"] or described.profile.name}
     codec, rng, mutator, recorded = material(options)
-    size = 1 if differential else options["batch"]
-    mode: Any = "differential" if differential else "live"
+    size = options["batch"]
     if options["dry_run"]:
         drawn = SweepFirst(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
-        saved = SavedTarget(mode, "nothing")
+        saved = SavedTarget("live", "nothing")
         return write_tests(Campaign(codec, StackTarget(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
         opened.runner.prepare()
-        target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
+        target = LiveTarget(opened, rate=options["rate"] or RATE)
         options["rate"] = None
         # This also determines the node identifier, which the sequences use.
         try:
@@ -82,19 +77,15 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         own_id = opened.runner.session.sut_id or NOBODY
         sequences = Sequences(codec, rng, own_id, mutator, recorded)
         done = swept(options)
-        reached: Counter[tuple[str, str]] = Counter()
-        saved = SavedTarget(mode, target.name, options=_target_words(where, own_node=options["own_node"]))
+        saved = SavedTarget("live", target.name, options=_target_words(where, own_node=options["own_node"]))
         campaign = Campaign(
             codec,
             target,
-            SweepFirst(Directed(sequences, reached), codec, done=done, size=_SWEPT_AT_ONCE)
-            if differential
-            else Batches(SweepFirst(sequences, codec, done=done), size),
+            Batches(SweepFirst(sequences, codec, done=done), size),
             saved,
             options["seed"],
             mutator=mutator,
-            reached_states=reached,
-            model=None if differential else StackTarget(codec),
+            model=StackTarget(codec),
             profile_text=profile_text(options),
             budget=200,
             seconds=_MINIMISING,
@@ -103,8 +94,6 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         )
         if target.control is not None and target.control.can_restart:
             campaign.fresh = target.run_after_restart
-        if differential:
-            campaign.states = lambda: target.observer.reached if target.observer is not None else ()
         return run_campaign(campaign, options)
 
 
@@ -138,21 +127,43 @@ def live_command(**options: Any) -> int:
     Before the campaign the implementation must answer. With --start or --restart it is restarted after a crash;
     without them the campaign ends at the first one. --rate is in frames per second (default 500).
     """
-    return _live(options, differential=False)
+    return _live(options)
 
 
-@command.command("differential", epilog=EXIT_STATUS)
+@command.command("model", epilog=EXIT_STATUS)
 @target_options
 @_OWN_NODE
-@campaign_options
-def differential_command(**options: Any) -> int:
-    """Compare an implementation with a model.
+@click.option(
+    "--sequences", type=click.IntRange(1), metavar="N", help="Number of sequences.  [default: 2000, on a link 40]"
+)
+@click.option("--steps", type=click.IntRange(1), default=12, metavar="N", help="Steps of a sequence.  [default: 12]")
+@click.option("--database", default="", metavar="DIR", help="Folder of Hypothesis's examples, which are tried first.")
+@click.option("--coverage", is_flag=True, help="Show the reached pairs of state and event.")
+@click.option(
+    "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write the counterexample to this folder."
+)
+def model_command(**options: Any) -> int:
+    """Search for a sequence in which an implementation does what the model of a node forbids.
 
-    The model is independent of the reference node. Both get the same sequence of frames and, with an upper tester, of
-    service calls. Then summaries, values, statuses and the neighbour table must agree, except where the specification
-    leaves a choice. --rate is in frames per second (default 500).
+    Hypothesis draws the sequences: services, beacons of neighbours, parameters, activity and time. The shortest
+    counterexample is shown as a table: each step, what was allowed, and what came. The same seed gives the same
+    sequences. --in-process searches in virtual time.
     """
-    return _live(options, differential=True)
+    from dcp_conformance.fuzz.execute.model import run_search
+
+    where = target_of(options)
+    if not (where.foreign or where.in_process or options["own_node"]):
+        raise UsageError("name the implementation (--interface IF or --link udp), --own-node, or --in-process")
+    words = _target_words(where, own_node=options["own_node"])
+    return run_search(
+        where,
+        words,
+        sequences=options["sequences"] or (2000 if where.in_process else 40),
+        steps=options["steps"],
+        database=options["database"],
+        coverage=options["coverage"],
+        directory=options["artefacts"],
+    )
 
 
 @command.command(
@@ -197,6 +208,11 @@ def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callab
         opened.runner.prepare()
 
     def made(artefact: Artefact) -> Target:
+        if artefact.target.mode == "model":
+            from dcp_conformance.fuzz.execute.model import ModelTarget
+            from dcp_conformance.fuzz.findings.counterexample import steps_of
+
+            return ModelTarget(opened, artefact.profile, steps_of(artefact), in_process=target.in_process)
         if artefact.target.mode in ("codec", "stack"):
             raise UsageError(f"artefact {artefact.id} is of our own code in process: use dcp-selftest fuzz replay")
         if opened is None:

@@ -49,7 +49,6 @@ EXIT_STATUS = (
     metavar="N",
     help="Number of concurrent cells.  [default: six for each processor; --virtual: one]",
 )
-@click.option("--dask", metavar="ADDRESS|local", help="Run the cells by the workers of a Dask cluster (--virtual).")
 @click.option(
     "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."
 )
@@ -69,7 +68,6 @@ def command(
     seed: int,
     seeds: int,
     jobs: int | None,
-    dask: str | None,
     report_dir: Path | None,
     replay: Path | None,
     *,
@@ -91,8 +89,8 @@ def command(
         for each in chosen:
             say(f"{each.id:<34} {each.purpose}")
         return 0
-    if (seeds > 1 or dask) and not (virtual or replay):
-        raise UsageError("--seeds and --dask repeat cells in virtual time; add --virtual")
+    if seeds > 1 and not (virtual or replay):
+        raise UsageError("--seeds repeats cells in virtual time; add --virtual")
     if replay is not None:
         return _replay(replay, file, report_dir)
     described = load_description(file) if file is not None else None
@@ -126,9 +124,7 @@ def command(
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
     with ending_like_interrupts():
-        matrix = run_matrix(
-            cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
-        )
+        matrix = run_matrix(cells, seeds=seeds, jobs=jobs, folder=report_dir, on_cell=on_cell, command=as_typed())
         with deferred():
             if file is not None:
                 matrix = _with_file(matrix, file)
@@ -152,7 +148,7 @@ def _say_cell(result: CellResult, before: str = "") -> None:
 
 
 def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
-    from dcp_conformance.interop.reports import write_reports
+    from dcp_conformance.interop.reporting import write_reports
     from dcp_conformance.interop.results import INTERRUPTED as EARLY
     from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR
 

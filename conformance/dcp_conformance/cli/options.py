@@ -11,14 +11,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, say
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP
 from dcp_conformance.execution.selection import PLANS, Selection
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
-
-#: Key of the value of ``--output`` in the context of a command.
-_OUTPUT = "dcp_conformance.output"
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -59,26 +56,8 @@ def as_typed(*words: str) -> str:
 
 
 def out_option(text: str) -> Callable[[F], F]:
-    """Add the option ``--out FILE`` with the help ``text``, and the deprecated name ``--output`` of it."""
-
-    def add(function: F) -> F:
-        old = click.option(
-            "--output", type=click.Path(path_type=Path), hidden=True, expose_value=False, callback=_output
-        )
-        new = click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE", callback=_out, help=text)
-        return new(old(function))
-
-    return add
-
-
-def _output(context: click.Context, _parameter: click.Parameter, value: Path | None) -> None:
-    if value is not None:
-        say("dcp-conformance: --output is deprecated; use --out", err=True)
-        context.meta[_OUTPUT] = value
-
-
-def _out(context: click.Context, _parameter: click.Parameter, value: Path | None) -> Path | None:
-    return value if value is not None else context.meta.get(_OUTPUT)
+    """Add the option ``--out FILE`` with the help ``text``."""
+    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help=text)
 
 
 def target_options(function: F) -> F:
@@ -137,6 +116,14 @@ def target_options(function: F) -> F:
     )
 
 
+#: Sections of the help of commands that have :func:`target_options`.
+TARGET_SECTIONS = {
+    "Implementation": "interface link in_process profile ether_type ut pics",
+    "Process of the implementation": "start stop restart pid start_timeout",
+    "Times and random numbers": "beacon_period timing_scale seed",
+}
+
+
 def selection_options(function: F) -> F:
     """Add the options that select test cases."""
     return _applied(
@@ -149,9 +136,6 @@ def selection_options(function: F) -> F:
                 multiple=True,
                 metavar="TEXT",
                 help="Only cases of sections whose heading has this text.",
-            ),
-            click.option(
-                "--requirement", "-r", multiple=True, metavar="ID", help="Only cases that decide this requirement."
             ),
             click.option(
                 "--exclude", "-x", multiple=True, metavar="CASE", help="Leave out these cases (identifier or glob)."
@@ -207,7 +191,6 @@ def selection_of(options: dict[str, Any]) -> Selection:
     return Selection(
         patterns=options["cases"],
         sections=options["section"],
-        requirements=options["requirement"],
         exclude=options["exclude"],
         plan=options["plan"],
     )

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_codec.common.printable import plain
 from dcp_conformance.errors import UsageError
 
-from .options import out_option, target_of, target_options
+from .options import TARGET_SECTIONS, out_option, target_of, target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 @click.command(
     "probe",
+    cls=SectionedCommand,
+    sections={"Probe": "check_adapter seconds passive out", **TARGET_SECTIONS},
     epilog="Exit status: 0 a frame or answer was received, or the adapter keeps to the contract; 1 the adapter breaks "
     "it; 2 wrong usage, or a file that cannot be written; 3 neither frame nor answer was received, or no profile "
     "explains the frames; 4 a fault of the tester.",

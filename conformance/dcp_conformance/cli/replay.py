@@ -11,17 +11,22 @@ from typing import Any
 import click
 import msgspec
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.node_id import node_id_octets
 
-from .options import EXIT_STATUS, as_typed, target_of, target_options
+from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, target_of, target_options
 
 #: Duration of a replay in seconds above which a warning is printed.
 _LONG = 600
 
 
-@click.command("replay", epilog=EXIT_STATUS)
+@click.command(
+    "replay",
+    cls=SectionedCommand,
+    epilog=EXIT_STATUS,
+    sections={"Replay": "node speed no_services report_dir", **TARGET_SECTIONS},
+)
 @click.argument("capture", type=click.Path(path_type=Path), metavar="FILE")
 @target_options
 @click.option("--node", metavar="ID", help="Recorded node whose part the implementation takes.")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-from .options import out_option, target_options
+from .options import out_option
 
 if TYPE_CHECKING:
     from dcp_conformance.model.results import RunResult
@@ -41,14 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--badge", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="For one run: a badge (.svg)."
 )
-@click.option(
-    "--minimise",
-    is_flag=True,
-    help="With --issues, execute the cases again to determine the necessary frames of a stimulus. Name the "
-    "implementation as for the run.",
-)
-@target_options
-def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, minimise: bool, **options: Any) -> int:
+def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, **exports: Path | None) -> int:
     """Generate the page of a run again, or compare several runs in one table.
 
     RESULTS are results.json files, or the folders that contain them. For several runs, a table of implementations and
@@ -59,14 +51,11 @@ def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, mi
     from dcp_conformance.reporting.merge import labels, matrix, render_matrix
     from dcp_conformance.reporting.page import render
 
-    exports: dict[str, Path | None] = {name: options[name] for name in ("requirements", "summary", "badge")}
-    if minimise and issues is None:
-        raise UsageError("--minimise is for the reports of --issues DIR")
     runs = [load_results(path) for path in results]
     if issues is not None or any(exports.values()):
         if len(runs) != 1:
             raise UsageError("--issues, --requirements, --summary and --badge are for the results of one run")
-        _export(runs[0], issues, exports, options if minimise else None)
+        _export(runs[0], issues, exports)
         if out is None:
             return 0
     if len(runs) == 1:
@@ -95,10 +84,8 @@ def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, mi
     return 0
 
 
-def _export(
-    run: RunResult, issues: Path | None, exports: dict[str, Path | None], target: dict[str, Any] | None
-) -> None:
-    """Write the exports of one run. ``target``: options of the SUT, used to minimise stimuli."""
+def _export(run: RunResult, issues: Path | None, exports: dict[str, Path | None]) -> None:
+    """Write the exports of one run."""
     from dcp_conformance.reporting import exports as making
     from dcp_conformance.reporting.files import codec_of
 
@@ -119,11 +106,8 @@ def _export(
     if issues is not None:
         from dcp_conformance.reporting.issues import write_issues
 
-        from .minimising import minimiser
-
-        with minimiser(target) if target is not None else nullcontext() as minimise:
-            for path in write_issues(run, issues, codec_of(run), minimise):
-                say(str(path))
+        for path in write_issues(run, issues, codec_of(run)):
+            say(str(path))
 
 
 def _write(path: Path, text: str) -> None:

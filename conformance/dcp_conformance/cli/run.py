@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 
-from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
+from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.run import ConformanceRun
     from dcp_conformance.execution.selection import Selection
 
 
-@click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
+@click.command(
+    "run",
+    cls=SectionedCommand,
+    epilog=EXIT_STATUS,
+    sections={
+        "Selection": "section exclude plan failed artefacts",
+        **TARGET_SECTIONS,
+        "Execution": "repeat until_fail jobs side_by_side impair pytest_options dry_run",
+        "Output": "report_dir expected verbose quiet",
+    },
+)
 @selection_options
 @target_options
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
@@ -34,9 +44,8 @@ if TYPE_CHECKING:
     "--failed",
     type=click.Path(path_type=Path),
     metavar="REPORT",
-    help="Start with the cases that failed or were undecided in an earlier report (its folder, or results.json).",
+    help="Only cases that failed or were undecided in an earlier report (its folder, or results.json).",
 )
-@click.option("--failed-only", is_flag=True, help="With --failed, run only these cases.")
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run all cases N times.  [default: 1]")
 @click.option("--until-fail", is_flag=True, help="Stop at the first fail.")
 @click.option(
@@ -76,12 +85,14 @@ def command(**options: Any) -> int:
 
     from .display import Display
 
-    target = replace(target_of(options), impair=options["impair"])
+    report = options["report_dir"]
+    output = None if report is None else report / "output.txt"
+    target = replace(target_of(options), impair=options["impair"], output=output)
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
         target,
-        _failed_first(selection_of(options), options["failed"], only=options["failed_only"]),
+        _failed_in(options["failed"], selection_of(options)),
         expected=options["expected"],
         artefacts=options["artefacts"],
         repeat=options["repeat"],
@@ -96,7 +107,6 @@ def command(**options: Any) -> int:
         for case in run.selected:
             say(f"{case.id}  {case.purpose}")
         return 0
-    report = options["report_dir"]
     if report is not None:
         from dcp_conformance.reporting import make_folder
 
@@ -119,26 +129,24 @@ def _at_a_time(options: dict[str, Any]) -> int:
     """Return the number of cases executed concurrently against one SUT: that of the user, or a default."""
     from dcp_conformance.execution.concurrent import WIDTH
 
-    if options["impair"]:
-        # Impairments are attributed to cases by their frames, which needs cases in succession.
+    if options["impair"] or options["failed"] is not None:
+        # Impairments are attributed to cases by their frames, which needs cases in succession. Cases that did not pass
+        # last time would have to be repeated alone.
         return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1
 
 
-def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> Selection:
-    """Return the selection, starting with the cases that did not pass in an earlier report."""
+def _failed_in(report: Path | None, selection: Selection) -> Selection:
+    """Restrict the selection to the cases that did not pass in an earlier report."""
     if report is None:
-        if only:
-            raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
         return selection
     from dcp_conformance.model.verdict import Verdict
     from dcp_conformance.reporting import load_results
 
     bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)
-    first = frozenset(case.id for case in load_results(report).cases if case.verdict in bad)
-    return replace(selection, first=first, only_first=only)
+    return replace(selection, only=frozenset(case.id for case in load_results(report).cases if case.verdict in bad))
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:

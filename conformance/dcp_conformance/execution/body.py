@@ -14,7 +14,7 @@ from dcp_conformance.errors import (
     StopCase,
     UpperTesterError,
 )
-from dcp_conformance.impairment import engaged
+from dcp_conformance.impaired_link import engaged
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict

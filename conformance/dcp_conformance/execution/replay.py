@@ -258,13 +258,13 @@ class Replay:
             count = self._counts[requirement, expected]
             times = "" if count == 1 else f" ({count} times)"
             marks = [Mark(frame) for _, _, frame in kept if frame]
-            bench.check(False, expected, f"{kept[0][1]}{times}", requirement, frames=marks)
+            bench.some(False, expected, requirement, seen=f"{kept[0][1]}{times}", frames=marks)
         wrong = {requirement for requirement, _ in self._complaints}
         right = [each for each in _REQUIREMENTS if oracle.occasions.get(each) and each not in wrong]
         if right:
             occasions = sum(oracle.occasions[each] for each in right)
             what = f"the records that it sends follow from those it received; none is missing ({occasions} occasions)"
-            bench.check(True, what, "", *right)
+            bench.passed(what, *right)
 
     def _compare(self, bench: Bench, oracle: Oracle, recorded: dict[int, int | None]) -> None:
         """Compare the final state of the implementation with the model, and report differences from the recording."""
@@ -284,7 +284,7 @@ class Replay:
                 requirement = "VD-PD-04" if expected is None else "VD-PU-07"
                 shown = "it is not summarised" if has is None else f"its summaries have sequence number {has}"
                 if has != expected:
-                    bench.check(False, what, shown, requirement)
+                    bench.some(False, what, requirement, seen=shown)
             if var_id in recorded and recorded[var_id] != has:
                 was = "deleted" if recorded[var_id] is None else f"sequence number {recorded[var_id]}"
                 now = "deleted or unknown" if has is None else f"sequence number {has}"
@@ -296,7 +296,7 @@ class Replay:
                 )
         if checked:
             what = f"the final state of the implementation is that of the model ({checked} variables)"
-            bench.check(True, what, "", "VD-PU-07")
+            bench.passed(what, "VD-PU-07")
         elif not bench.heard:
             bench.inconclusive("beacons of the implementation", "none during the whole recording")
 

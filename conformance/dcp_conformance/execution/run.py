@@ -95,8 +95,6 @@ class ConformanceRun:
         selection_of_cases = dataclasses.replace(selection, exclude=exclude)
         self.selected = select(self.cases, selection_of_cases)
         self._long = len(left_out(self.cases, selection_of_cases))
-        self.first = selection.first
-        """Identifiers of the cases that are executed before the others."""
         self.with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
         self.expected = (
             ExpectedResults()
@@ -208,9 +206,6 @@ class ConformanceRun:
         assert self._runner is not None
         rest = list(planned)
         if rest and rest[0].id == SANITY:
-            self.run_case(rest.pop(0))
-        # Cases that did not pass last time are executed alone first: side by side most would have to be repeated.
-        while rest and rest[0].id in self.first:
             self.run_case(rest.pop(0))
         passed: dict[str, CaseResult] = {}
 

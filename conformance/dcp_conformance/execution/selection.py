@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
-from dcp_spec.catalogue.requirements import UnknownRequirementError, requirement, requirements
+from dcp_spec.catalogue.requirements import requirements
 
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import SANITY, Case
@@ -28,16 +28,12 @@ class Selection:
     """Identifiers of cases or requirements, or globs of them."""
     sections: tuple[str, ...] = ()
     """Parts of section headings, such as ``bp`` or ``receive path``, in upper or lower case."""
-    requirements: tuple[str, ...] = ()
-    """Identifiers of requirements, or globs of them."""
     exclude: tuple[str, ...] = ()
     """Identifiers of cases, or globs of them, that are left out."""
     plan: str = "full"
     """One of :data:`PLANS`."""
-    first: frozenset[str] = frozenset()
-    """Identifiers of cases that are executed before the others; unknown ones are ignored."""
-    only_first: bool = False
-    """Whether only the cases in ``first`` are executed."""
+    only: frozenset[str] | None = None
+    """Identifiers of the cases to which the selection is restricted; unknown ones are ignored."""
 
 
 def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
@@ -65,20 +61,17 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
     if selection.sections:
         parts = [part.lower() for part in selection.sections]
         chosen = [case for case in chosen if any(part in case.section.lower() for part in parts)]
-    if selection.requirements:
-        ids = {each for pattern in selection.requirements for each in _requirements(pattern)}
-        chosen = [case for case in chosen if ids.intersection(case.requirements)]
     excluded = {case.id for pattern in selection.exclude for case in _matching(cases, pattern)}
     chosen = [case for case in chosen if case.id not in excluded]
-    if selection.only_first:
-        chosen = [case for case in chosen if case.id in selection.first]
+    if selection.only is not None:
+        chosen = [case for case in chosen if case.id in selection.only]
         if not chosen:
             raise UsageError(
                 "none of the selected cases failed or was undecided in that report: there is nothing to run"
             )
     if not chosen:
         raise UsageError("no case is left to run; 'dcp-conformance list' shows the cases")
-    return ordered(chosen, selection.first)
+    return ordered(chosen)
 
 
 def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
@@ -89,15 +82,13 @@ def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
     return [case for case in select(cases, replace(selection, plan="long")) if case.id not in chosen]
 
 
-def ordered(cases: Iterable[Case], first: Collection[str] = ()) -> list[Case]:
+def ordered(cases: Iterable[Case]) -> list[Case]:
     """Return the cases in the order of execution.
 
-    The sanity case comes first, then the cases in ``first``, other cases on conformance, and cases on robustness.
-    Destructive cases are last, those in ``first`` before the others. Otherwise the order of ``cases`` is kept.
+    The sanity case comes first, then cases on conformance, cases on robustness, and destructive cases. Otherwise the
+    order of ``cases`` is kept.
     """
-    return sorted(
-        cases, key=lambda case: (case.base != SANITY, case.destructive, case.id not in first, case.robustness)
-    )
+    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive, case.robustness))
 
 
 def matches(case: Case, pattern: str) -> bool:
@@ -125,13 +116,3 @@ def retired() -> frozenset[str]:
     """Return the identifiers of removed cases, which reports of earlier runs still name."""
     ledger = resources.files("dcp_conformance").joinpath("data", "case-ids.txt").read_text(encoding="utf-8")
     return frozenset(name for name, _, why in (line.partition(" ") for line in ledger.splitlines()) if why)
-
-
-def _requirements(pattern: str) -> list[str]:
-    found = [each for each in requirements() if fnmatch.fnmatchcase(each, pattern.upper())]
-    if found:
-        return found
-    try:
-        return [requirement(pattern).id]
-    except UnknownRequirementError as error:
-        raise UsageError(str(error)) from None

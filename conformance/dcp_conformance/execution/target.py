@@ -15,7 +15,7 @@ from dcp_spec.profile.usability import refusal
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
 from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
-from dcp_conformance.impairment import impaired, parse_directions
+from dcp_conformance.impaired_link import impaired, parse_directions
 from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.model.case import cases_of
 from dcp_conformance.model.node_id import node_id_octets
@@ -59,6 +59,8 @@ class TargetOptions:
     seed: int = 1
     impair: tuple[str, ...] = ()
     """Impairment of the link, see ``impairment.parse_directions``."""
+    output: Path | None = None
+    """File for the output of an implementation that is started; None: only its last lines are kept."""
     node_id: bytes | None = None
     """Node identifier of the reference node."""
     node_options: tuple[str, ...] = field(default=())
@@ -243,6 +245,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             stop=options.stop,
             restart=options.restart,
             pid=options.pid,
+            log=options.output if options.start else None,
             udp_port=None if options.interface is not None else _udp_port(options, codec),
         )
         control = process

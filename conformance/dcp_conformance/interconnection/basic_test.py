@@ -18,7 +18,17 @@ from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.header_rules import Violation, judge
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
-from dcp_conformance.test_steps.bp_clients import ACTIVATE, CLIENT, DEREGISTER, RECEIVED, BPClient, indications, until
+from dcp_conformance.test_steps.bp_clients import (
+    ACTIVATE,
+    CLIENT,
+    DEREGISTER,
+    RECEIVED,
+    BPClient,
+    header_octets,
+    indications,
+    until,
+    unused_protocol_id,
+)
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Question
 
@@ -31,6 +41,11 @@ _ATTEMPTS: Final = 3
 _FURTHER: Final = 2
 #: Beacon periods to wait for any beacon without VarDis.
 _SILENCE: Final = 20.0
+_LOOP: Final = (
+    "it processes a block only if another one follows: its loop over the blocks probably ends at the length in the "
+    "header, which lacks the header itself, as the pseudo-code in dcp-bp.md, Receive Path (index < bearerlen), has it "
+    "by a misprint; the blocks end at length plus the size of the header"
+)
 #: Frames that are judged octet by octet.
 _JUDGED: Final = 8
 
@@ -76,6 +91,8 @@ class _Test:
             suspicion = _suspect(bench)
         if suspicion:
             return self._contact(suspicion, mistaken=True)
+        if self._ends_too_early():
+            return self._contact(_LOOP, loses_last=True)
         if bench.heard or misnamed(bench) is not None:
             return self._contact(self._unexplained_frames())
         if self._activated():
@@ -84,7 +101,9 @@ class _Test:
             return self._contact(suspicion, mistaken=True)
         return self._contact(self._silence())
 
-    def _contact(self, suspicion: str = "", *, mistaken: bool = False, inactive: bool = False) -> Contact:
+    def _contact(
+        self, suspicion: str = "", *, mistaken: bool = False, inactive: bool = False, loses_last: bool = False
+    ) -> Contact:
         bench = self._bench
         return Contact(
             frames=len(bench.heard),
@@ -96,6 +115,7 @@ class _Test:
             mistaken=mistaken,
             odd="" if "summary" in self._answered else _odd_answer(bench),
             inactive=inactive,
+            loses_last=loses_last,
             trouble=self._trouble,
         )
 
@@ -123,6 +143,24 @@ class _Test:
             self._through_the_upper_tester(bench.session.upper.methods)
         except UpperTesterError as error:
             self._trouble = str(error)
+
+    def _ends_too_early(self) -> bool:
+        """Return whether a summary is answered only if a block of an unregistered protocol follows it.
+
+        The length in the header lacks the header. As a bound of offsets from the begin of a beacon, it ends too early.
+        """
+        bench = self._bench
+        if bench.sut.pics.vardis is False or not bench.profile.has_header_field("length"):
+            return False
+        for _ in range(_FURTHER):
+            if not bench.identifiers.has_unknown_ids():
+                return False
+            var_id, peer = bench.unknown_id(), bench.peer()
+            filler = Block(unused_protocol_id(bench), bytes(2 * header_octets(bench)))
+            peer.send(bench.builder.vardis(peer.summary(var_id, 1)), filler)
+            if bench.until_instruction(ICType.REQUEST_VARCREATES, var_id, PERIODS) is not None:
+                return True
+        return False
 
     def _through_the_upper_tester(self, methods: frozenset[str]) -> None:
         if methods.issuperset(CLIENT):

@@ -94,6 +94,8 @@ class Contact:
     """The record about the variable of a summary that was received instead of the answer; empty if none was."""
     inactive: bool = False
     """Whether BP sent no beacons before BP-MGMT-Activate, and has sent some since."""
+    loses_last: bool = False
+    """Whether it processes a block only if another one follows it."""
     trouble: str = ""
     """Why the upper tester did not answer; empty if it did, or if there is none."""
     blamed: frozenset[str] = frozenset()

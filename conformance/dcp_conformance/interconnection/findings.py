@@ -17,6 +17,7 @@ from dcp_conformance.upper_tester.patience import NEVER
 
 from . import extraction, layouts
 from .contact import BEGINNING, Contact
+from .notifications import notification_delay
 from .reaction import measure
 
 #: A bench needs a case; this one is not part of the suite.
@@ -95,6 +96,7 @@ def prepare(session: Session) -> bool:
     found.reaction = measure(Bench(session, _CASE))
     if not found.reaction.samples:
         return False
+    session.notifications = notification_delay(Bench(session, _CASE))
     found.lost_container = extraction.lost_container(Bench(session, _CASE))
     found.misread = layouts.misread_fields(Bench(session, _CASE))
     return True

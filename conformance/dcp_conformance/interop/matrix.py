@@ -120,14 +120,12 @@ def run_matrix(
     seeds: int = 1,
     jobs: int | None = None,
     folder: Path | None = None,
-    dask: str | None = None,
     on_cell: OnCell | None = None,
     command: str = "",
 ) -> MatrixResult:
     """Run cells and return their results in the same order.
 
-    ``folder``: gets recordings and logs. ``dask``: the address of a Dask scheduler whose workers run the cells, or
-    ``local`` for a cluster on this machine. Raises ``UsageError`` if there is no such scheduler.
+    ``folder``: gets recordings and logs.
 
     ``KeyboardInterrupt`` and the loss of a worker end the matrix early. The result then has ``ended_early``, and the
     cells that were finished.
@@ -149,7 +147,7 @@ def run_matrix(
     chosen = [cells[number] for number in waiting]
     ended_early = ""
     try:
-        with contextlib.closing(_executed(chosen, seeds, jobs, where, dask)) as executed:
+        with contextlib.closing(_executed(chosen, seeds, jobs, where)) as executed:
             for number, result in executed:
                 results[waiting[number]] = result
                 done += 1
@@ -157,8 +155,6 @@ def run_matrix(
                     on_cell(result, done, len(cells))
     except KeyboardInterrupt:
         ended_early = INTERRUPTED
-    except UsageError:
-        raise
     except ConformanceError as error:
         ended_early = str(error)
     names = {name: each for cell in cells for name, each in zip((cell.a, cell.b), cell.implementations, strict=True)}
@@ -184,18 +180,14 @@ def _described(name: str, each: Implementation) -> ImplementationResult:
 
 
 def _executed(
-    cells: Sequence[Cell], seeds: int, jobs: int | None, folder: Path | None, dask: str | None
+    cells: Sequence[Cell], seeds: int, jobs: int | None, folder: Path | None
 ) -> Generator[tuple[int, CellResult]]:
     """Run cells and yield their results with their places in ``cells``."""
     if not cells:
         return
     jobs = jobs or default_jobs(cells[0].world)
     job = partial(_job, seeds=seeds, folder=folder)
-    if dask is not None:
-        from .workers.cluster import run_on_cluster
-
-        yield from run_on_cluster(job, cells, dask, jobs)
-    elif jobs == 1 and cells[0].world == "virtual":
+    if jobs == 1 and cells[0].world == "virtual":
         for number, cell in enumerate(cells):
             yield number, run_seeds(cell, seeds, folder)
     else:

@@ -14,7 +14,7 @@ INTERRUPTED: Final = "interrupted"
 """Why a matrix ended early: Ctrl-C, SIGTERM or SIGHUP."""
 
 
-class Moment(msgspec.Struct, frozen=True, omit_defaults=True):
+class TimelineEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     """A line of a timeline: ``time`` in s since the start, ``place`` None for the network, ``frame`` 0 for none."""
 
     time: float
@@ -68,7 +68,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds that the tester took."""
     checks: tuple[Check, ...] = ()
     spreads: tuple[Spread, ...] = ()
-    moments: tuple[Moment, ...] = ()
+    moments: tuple[TimelineEntry, ...] = ()
     left_out: int = 0
     stations: tuple[StationResult, ...] = ()
     links: dict[str, Any] = {}

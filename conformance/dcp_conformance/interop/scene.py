@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from dcp_spec.constants import features
 
-from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
+from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
 from dcp_codec.errors import DecodeError
 from dcp_codec.impairment import Impairment, Outage
 from dcp_codec.testing.mutation import Mutator
@@ -18,7 +18,7 @@ from dcp_conformance.upper_tester import Answer
 
 from .bounds import cycle_time, expected_time, spreading_time, time_through_outages
 from .definition import Shape
-from .results import Moment, Spread
+from .results import Spread, TimelineEntry
 from .world import Limits, Sent, World
 
 MS: Final = 1_000_000
@@ -47,7 +47,7 @@ class Scene:
         self.places = list(range(len(shape.roles)))
         self.rng = random.Random(f"scene/{seed}")  # noqa: S311 - to be repeatable is the point
         self.checks: list[Check] = []
-        self.moments: list[Moment] = []
+        self.moments: list[TimelineEntry] = []
         self.spreads: list[Spread] = []
         self.left_out = 0
         self.restarts: list[tuple[int, int]] = []
@@ -58,7 +58,7 @@ class Scene:
         """The expected loss of the links, for the time that spreading may take."""
         self.outages = False
         """Whether links are down most of the time, as :func:`bounds.cycle_time` has it."""
-        self.held: dict[int, Holdings] = {place: Holdings() for place in self.places}
+        self.held: dict[int, Ledger] = {place: Ledger() for place in self.places}
         """The records that each place has sent about variables since it was switched on."""
         self.heard_from: dict[int, int] = {}
         """By place: the time of its last transmission."""
@@ -119,7 +119,7 @@ class Scene:
         if on and any(frame.place == place for frame in self.world.sent()):
             self.restarts.append((self.world.now, place))
         self.world.power(place, on=on)
-        self.held[place] = Holdings()
+        self.held[place] = Ledger()
         self.heard_from.pop(place, None)
 
     def call(self, place: int, method: str, **params: Any) -> Answer:
@@ -271,11 +271,9 @@ class Scene:
             beacon = place.codec.decode(frame.octets)
         except DecodeError:
             return
-        changes = self.held[frame.place].feed(self._seen + 1, frame.time, place.node_id, beacon)
-        for change in changes:
-            now = change.now.number
-            text = {DELETED: "deletes", UNKNOWN: "asks for"}.get(now, f"has number {now} of")
-            self.note(frame.place, f"{text} variable {change.var_id}", frame=self._seen + 1)
+        for entry in self.held[frame.place].feed(self._seen + 1, frame.time, place.node_id, beacon):
+            text = {DELETED: "deletes", UNKNOWN: "asks for"}.get(entry.number, f"has number {entry.number} of")
+            self.note(frame.place, f"{text} variable {entry.var_id}", frame=self._seen + 1)
 
     def damaged(self, pool: Sequence[bytes]) -> Iterator[bytes]:
         """Yield damaged copies of beacons without end: those that no strict decoder of the places' versions takes."""
@@ -306,7 +304,7 @@ class Scene:
         if len(self.moments) >= _MOST_MOMENTS:
             self.left_out += 1
             return
-        self.moments.append(Moment(round(self.world.now / SECOND, 4), place, text, frame))
+        self.moments.append(TimelineEntry(round(self.world.now / SECOND, 4), place, text, frame))
 
     def expect(self, met: bool, expected: str, observed: str = "", *requirements: str) -> bool:
         """Record a check."""

@@ -131,7 +131,7 @@ class ListensToAllTypes(Protocol):
 
 @runtime_checkable
 class Impairs(Protocol):
-    """A lower tester with an impaired link (:mod:`dcp_conformance.impairment`)."""
+    """A lower tester with an impaired link (:mod:`dcp_conformance.impaired_link`)."""
 
     def engaged(self) -> AbstractContextManager[None]:
         """A context in which the link is bad; outside of it, it only delays."""

@@ -45,6 +45,11 @@ DENIED: Final = "TC_DCP_PICS_BV_01"
 """The case about what the PICS denies although the specification demands it."""
 SANITY: Final = "TC_DCP_SANITY_BV_01"
 """The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
+FILLS: Final = "it fills payloads or beacons, and depends on the room in them"
+LISTENS: Final = "it judges the whole content of beacons"
+REPLACES: Final = "it deregisters SRP or VarDis"
+TIMES_DELETION: Final = "it measures when a variable is deleted"
+"""Frequent values of :attr:`Case.alone`."""
 _ID = re.compile(r"TC_(?:DCP|BP|SRP|VD|NET)_[A-Z0-9]+_(BV|BI|BO|TI)_\d\d")
 _VARIANT = re.compile(r"[a-zA-Z0-9][a-zA-Z0-9.+_=-]*")
 
@@ -106,6 +111,13 @@ class Case:
     """The specification leaves the reaction open: a crash counts in the table of robustness."""
     long: bool = False
     """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
+    alone: str = ""
+    """Why it cannot be executed beside other cases, as far as its needs do not say so; empty if it can.
+
+    The steps about the room in beacons refuse to serve a case beside others that does not declare this.
+    """
+    family: str = ""
+    """The name of the cases beside which alone it can be executed; empty if it can be beside any."""
     line: int = 0
     options: tuple[str, ...] = ()
     """Options that a command needs beside the identifier to find the case."""
@@ -152,6 +164,8 @@ def case(
     destructive: bool = False,
     robustness: bool = False,
     long: bool = False,
+    alone: str = "",
+    family: str = "",
 ) -> Callable[[_Body], _Body]:
     """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
 
@@ -186,6 +200,8 @@ def case(
                 destructive=destructive,
                 robustness=robustness,
                 long=long,
+                alone=alone,
+                family=family,
                 line=body.__code__.co_firstlineno,
             )
 

@@ -26,6 +26,7 @@ UNKNOWN_PROFILE: Final = "unknown"
 
 _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
+_Places = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class Capabilities(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -103,6 +104,14 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     max_description_length: _Count | None = None
     max_repetitions: _Count | None = None
     max_summaries: _Count | None = None
+    variables: _Places | None = None
+    """Capacities: the most variables in the database, entries of the neighbour table, clients of BP (without SRP and
+    VarDis), and payloads in the queue of a client. None: unlimited, or as in the profile. A declared one is judged."""
+    neighbours: _Places | None = None
+    clients: _Places | None = None
+    queue_entries: _Places | None = None
+    loss: Annotated[float, msgspec.Meta(gt=0, le=0.2)] | None = None
+    """The share of frames that the link loses. A failure for lack of a frame must then recur."""
     neighbour_timeout_ms: _Positive | None = None
     """Default if unknown: 3000; for the next two parameters 1000 and 50."""
     scrubbing_period_ms: _Positive | None = None

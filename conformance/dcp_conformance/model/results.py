@@ -204,6 +204,8 @@ class LinkResult(msgspec.Struct, frozen=True, omit_defaults=True):
     """Number of occasions for which the speaker was one of the possible causes of a reaction."""
     until: float | None = None
     """Seconds since the first frame after which nothing was heard any more; None: to the end."""
+    told: bool = False
+    """Whether the user has told this link; without any told link of the listener, all are inferred."""
 
 
 class RunResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -229,7 +231,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     occasions: dict[str, int] = {}
     """Of a recording: by requirement, how often it gave an occasion to break it, over all cases."""
     holdings: dict[str, Any] = {}
-    """Of a recording: who holds what and when (:meth:`dcp_codec.analysis.holdings.History.as_json`)."""
+    """Of a recording: who holds what and when (:meth:`dcp_codec.analysis.ledger.Ledger.as_json`)."""
     links: tuple[LinkResult, ...] = ()
     """Of a recording: who hears whom, where reactions are enough to say."""
     summary: dict[str, dict[str, int]] = {}

@@ -95,6 +95,8 @@ class Obligation(msgspec.Struct, frozen=True, gc=False):
     requirement: str
     cause: int
     """Number of the frame that asks for it; 0 for a service call."""
+    time: int = 0
+    """When it was caused, ns."""
 
 
 class Complaint(NamedTuple):

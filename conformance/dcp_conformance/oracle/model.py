@@ -320,12 +320,12 @@ class Model:
         self.occasions[requirement] += 1
         owing = self._owed.get(var_id)
         if owing is None:
-            self._owed[var_id] = [Obligation(time + self._window, kind, var_id, seqno, requirement, frame)]
+            self._owed[var_id] = [Obligation(time + self._window, kind, var_id, seqno, requirement, frame, time)]
             return
         for owed in owing:
             if owed.kind is kind and owed.seqno == seqno:
                 return
-        owing.append(Obligation(time + self._window, kind, var_id, seqno, requirement, frame))
+        owing.append(Obligation(time + self._window, kind, var_id, seqno, requirement, frame, time))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
         """Remove an instruction that was sent or is obsolete. A newer update also replaces older ones."""

@@ -82,7 +82,8 @@ class Oracle(Model):
             if removes and variable.versions[-1].state == "deleted":
                 self._remove_after_last_delete(variable, time)
         if roomy:
-            self._roomy.append(time)
+            # As if it had waited no longer than others.
+            self._roomy.append(composed + self._latency)
             if len(self._roomy) > _PAYLOADS:
                 del self._roomy[: _PAYLOADS // 2]
         return complaints

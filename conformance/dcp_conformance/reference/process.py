@@ -59,12 +59,14 @@ def reference_process(
     node_id: bytes = NODE_ID,
     options: Sequence[str] = (),
     patience: float = 5.0,
+    program: Sequence[str] = ("dcp_stack.cli", "run"),
 ) -> Iterator[ReferenceProcess]:
     """Start our node. At the end, also after Ctrl-C and SIGTERM, remove everything that was made for it.
 
     ``link``: ``auto`` is Ethernet, with a fall-back to UDP; ``about`` has the reason. ``profile`` is the name or
     path of the profile, by default the name in ``codec``. ``options`` are further ones of ``dcp-node run``.
-    ``patience`` is what the upper tester has, in s.
+    ``patience`` is what the upper tester has, in s. ``program``: a module with the options of ``dcp-node run``, and
+    arguments before them.
 
     Raises ``ConformanceError``: the node does not start (with its last words), or ``link="ethernet"`` is impossible.
     """
@@ -78,7 +80,7 @@ def reference_process(
         settings.write_text(_settings(beacon_period_ms), encoding="utf-8")
         representation = codec.profile.types.node_id.representation
         command = [
-            *(sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(settings), *link_options),
+            *(sys.executable, "-m", *program, "--config", str(settings), *link_options),
             *("--control", str(path)),
             *("--profile", profile or codec.profile.name, "--beacon-period", f"{beacon_period_ms:g}"),
             *("--node-id", node_id.hex(":") if representation != "hex" else node_id.hex(), "--log-level", "warning"),

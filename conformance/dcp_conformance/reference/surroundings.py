@@ -46,6 +46,8 @@ class UpperTesting(msgspec.Struct, frozen=True, kw_only=True):
     """Methods that it does not have."""
     call_ms: float = 0.0
     """Duration of each call in ms; half of it passes before the node executes the call."""
+    notification_ms: float = 0.0
+    """Time in ms by which notifications are later than the calls."""
     answers: Callable[[str, dict[str, Any], Any], Any] | None = None
     """Function of method, parameters and :class:`~dcp_conformance.upper_tester.Answer`; returns the answer to send."""
     one_connection: bool = False
@@ -142,8 +144,8 @@ class Upper(VirtualUpperTester):
         return answer
 
     def poll(self) -> list[Notification]:
-        """Return the notifications that have arrived: each is delayed as long as a call takes."""
-        delay = round(self._testing.call_ms * 1e6)
+        """Return the notifications that have arrived: each is delayed as long as a call takes, and further."""
+        delay = round((self._testing.call_ms + self._testing.notification_ms) * 1e6)
         self._late += [msgspec.structs.replace(each, time=each.time + delay) for each in super().poll()]
         arrived = [each for each in self._late if each.time <= self._node.now]
         self._late = self._late[len(arrived) :]

@@ -75,18 +75,14 @@ def byte_order(bench: Bench) -> None:
         for path, width, right in checks:
             value = says.get(path)
             if value is not None and value != right and swapped(value, width) == right:
-                bench.fail(f"{path} {right:#x}", f"{value:#x}: the octets are swapped", frames=[heard], shown=True)
+                bench.wrong(f"{path} {right:#x}", f"{value:#x}: the octets are swapped", frames=[heard])
         ids = [value for path, value in says.items() if path.endswith(".protocolId")]
         odd = [value for value in ids if value > 0xFF and swapped(value, 2) in (1, 2)]
-        bench.require(not odd, "protocolId 1 or 2", f"{odd}: the octets are swapped", frames=[heard], shown=True)
+        bench.none(odd, "protocolId 1 or 2", frames=[heard], stop=True)
     numbers = [heard.seqno for heard in frames if heard.seqno is not None]
     steps = {(after - before) % BP_SEQNO_MODULUS for before, after in itertools.pairwise(numbers)}
-    bench.check(
-        1 << 24 not in steps,
-        "seqno increases in its last octet",
-        "it increases in its first octet",
-        frames=frames[:2],
-        shown=True,
+    bench.proved(
+        1 << 24 not in steps, "seqno increases in its last octet", "it increases in its first octet", frames=frames[:2]
     )
     fields = [name for name, field in _integers(bench) if field != "big"]
     fields += [
@@ -145,13 +141,7 @@ def order_of_creation_times(bench: Bench) -> None:
     passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {second:#x} replaces the one created at {first:#x}"
-    bench.check(
-        passed is not None and passed.upd.value == bench.records.value(b"second"),
-        expected,
-        "it was not replaced",
-        frames=found,
-        shown=passed is not None,
-    )
+    bench.equal(passed and passed.upd.value, bench.records.value(b"second"), expected, frames=found)
 
 
 @case(
@@ -167,10 +157,10 @@ def order_of_creation_times(bench: Bench) -> None:
 def own_creation_time(bench: Bench) -> None:
     var_id = bench.identifiers.own_var_id()
     request = timed(bench, CREATE, **create_request(bench, var_id, timeout=0x1234))
-    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.require(record is not None, "a VarCreate of the variable", "none in time", "VD-CRE-12")
-    assert record is not None
-    bench.check(record.spec.timeout == 0x1234, "timeout 0x1234", f"{record.spec.timeout:#x}", "DATA-01", shown=True)
+    record = bench.required(
+        bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "a VarCreate of the variable", "VD-CRE-12"
+    )
+    bench.answered(record.spec.timeout, 0x1234, "timeout", "DATA-01")
     check_time(bench, record.spec.creation_time, request, "creationTime")
 
 
@@ -185,9 +175,7 @@ def own_creation_time(bench: Bench) -> None:
 def own_time_stamp(bench: Bench) -> None:
     request = timed(bench, "SRP-UpdateSafetyData", sData=safety_data(bench, 3))
     heard = until_report(bench)
-    report = None if heard is None else heard.report
-    bench.require(report is not None, "a state report", "none in time", "SRP-SRV-03")
-    assert report is not None
+    report = bench.required(None if heard is None else heard.report, "a state report", "SRP-SRV-03")
     check_time(bench, report.t_stamp, request, "tStamp")
 
 
@@ -206,13 +194,13 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
             if abs(turned - wall) <= day
             else "not within a day of now"
         )
-        bench.check(False, f"{name} within a day of now", f"{stamp:#x}, {what}", "DATA-01", "DATA-05", shown=True)
+        bench.proved(False, f"{name} within a day of now", f"{stamp:#x}, {what}", "DATA-01 DATA-05")
         return
-    bench.check(True, f"{name} within a day of now", "", "DATA-01")
+    bench.passed(f"{name} within a day of now", "DATA-01")
     off, limit = (told - wall) / MS, bench.sut.pixit.clock_tolerance_ms
     # The time stamp may have been taken at any time between request and answer.
     near = -limit <= off <= limit + (request.after - request.before) / MS
-    bench.check(near, f"{name} within {limit:g} ms of the tester's clock", f"{off:.1f} ms off", "DATA-05", shown=True)
+    bench.proved(near, f"{name} within {limit:g} ms of the tester's clock", f"{off:.1f} ms off", "DATA-05")
 
 
 # -- records -----------------------------------------------------------------------------------------------------------
@@ -249,26 +237,19 @@ def packed(bench: Bench) -> None:
         frames = some_beacons(bench, 10)
     broken = [heard for heard in frames if heard.problems]
     if not broken:
-        bench.check(True, "beacons that can be decoded with the profile", "", "DATA-02", "DATA-03")
+        bench.passed("beacons that can be decoded with the profile", "DATA-02 DATA-03")
     judged: set[str] = set()
     for frame, each in ((heard, each) for heard in broken for each in judge(heard.octets, bench.codec)):
         if each.requirement not in judged:
             # If a beacon has one bad block, only the rules of that block are broken.
             judged.add(each.requirement)
             observed = f"{each} ({len(broken)} of {len(frames)} beacons cannot be decoded completely)"
-            bench.check(
-                False,
-                "beacons that can be decoded with the profile",
-                observed,
-                *each.requirements,
-                frames=[frame],
-                shown=True,
+            bench.proved(
+                False, "beacons that can be decoded with the profile", observed, *each.requirements, frames=[frame]
             )
     behind = [heard for heard in frames if not heard.problems and _trailing(bench, heard)]
     octets = _trailing(bench, behind[0]).hex() if behind else ""
-    bench.check(
-        not behind, "no octets after the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4], shown=True
-    )
+    bench.none(behind, "no octets after the last block", "UWB-04 DATA-02", seen=octets)
     if any(each.opaque is not None for each in own_fields(bench.profile.srp.record)):
         what = "its state reports are memory images of a structure, with unused octets between the fields"
         bench.info("Which records of the profile itself are not packed?", what, "DATA-02")
@@ -313,14 +294,12 @@ def check_forwarded(bench: Bench, value: bytes, descr: bytes, *requirements: str
     """Check that a variable with this value and description is accepted and forwarded unchanged."""
     peer, var_id = bench.peer(), bench.var_id()
     peer.send(peer.create(var_id, value=value, descr=descr, exact=True))
-    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.require(record is not None, "a VarCreate of the variable", "none in time", *requirements)
-    assert record is not None
+    record = bench.required(
+        bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "a VarCreate of the variable", *requirements
+    )
     same = record.upd.value == value and record.spec.descr == descr
     observed = f"value {record.upd.value.hex()}, description {record.spec.descr.hex()}"
-    bench.check(
-        same, f"value {value.hex()} and description {descr.hex()}, as received", observed, *requirements, shown=True
-    )
+    bench.proved(same, f"value {value.hex()} and description {descr.hex()}, as received", observed, *requirements)
 
 
 @case(
@@ -390,16 +369,8 @@ def length_of_text(bench: Bench) -> None:
     var_id, other = bench.identifiers.own_var_id(), bench.unknown_id()
     bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.require(record is not None, "a VarCreate of the variable", "none in time", "DATA-08")
-    descr = record.spec.descr
-    bench.check(
-        descr == text.encode(),
-        f"{len(text.encode())} octets of UTF-8",
-        f"{descr.hex()}",
-        "DATA-07",
-        "DATA-08",
-        shown=True,
-    )
+    bench.required(record, "a VarCreate of the variable", "DATA-08")
+    bench.answered(record.spec.descr, text.encode(), "the description in UTF-8", "DATA-07 DATA-08")
     # Fewer characters than the maximum, but more octets.
     longer = "\u00e9" * (longest // 2 + 1)
     bench.expect_status(
@@ -440,15 +411,11 @@ def broadcast(bench: Bench) -> None:
     if not frames:
         bench.inconclusive("Ethernet frames of the implementation", "the link does not provide them")
     other = [frame[:6].hex(":") for _, frame in frames if frame[:6] != b"\xff" * 6]
-    bench.check(
-        not other, "frames to ff:ff:ff:ff:ff:ff", f"frames to {', '.join(sorted(set(other)))}", "UWB-01", shown=True
-    )
+    bench.none(other, "frames to ff:ff:ff:ff:ff:ff", "UWB-01", seen=f"frames to {', '.join(sorted(set(other)))}")
     types = {int.from_bytes(frame[12:14], "big") for _, frame in frames}
     observed = ", ".join(f"{each:#06x}" for each in sorted(types))
-    bench.check(len(types) == 1, "one EtherType for all beacons", observed, "UWB-02", shown=True)
-    bench.check(
-        min(types) >= ETHERTYPE_MIN, f"an EtherType of at least {ETHERTYPE_MIN:#06x}", observed, "BP-PAR-10", shown=True
-    )
+    bench.answered(len(types), 1, "EtherTypes of all beacons", "UWB-02")
+    bench.proved(min(types) >= ETHERTYPE_MIN, f"an EtherType of at least {ETHERTYPE_MIN:#06x}", observed, "BP-PAR-10")
 
 
 @case(
@@ -464,8 +431,7 @@ def other_type(bench: Bench, number: int) -> None:
     own = bench.profile.link.ether_type or 0x4953
 
     def send(peer: Peer, summary: Any) -> None:
-        ether_type = own + 1 if number == 1 else number
-        head = b"\xff" * 6 + peer.address + ether_type.to_bytes(2, "big")
+        head = b"\xff" * 6 + peer.address + (own + 1 if number == 1 else number).to_bytes(2, "big")
         bench.transmission.send_frame(head + peer.beacon(summary), len(head))
 
     check_dropped(bench, send, "a frame with another EtherType")
@@ -494,9 +460,5 @@ def packet_size(bench: Bench) -> None:
         bench.info("Does the implementation report UWB-MaxPacketSize?", "no", "UWB-03")
         # BPPAR_MAXIMUM_PACKET_SIZE may be smaller than the maximum of the bearer.
         return
-    bench.check(
-        told >= UWB_MIN_MTU, f"UWB-MaxPacketSize of at least {UWB_MIN_MTU} octets", f"{told}", "UWB-03", shown=True
-    )
-    bench.check(
-        sizes[-1] <= told, f"beacons of at most {told} octets", f"a beacon of {sizes[-1]} octets", "UWB-03", shown=True
-    )
+    bench.proved(told >= UWB_MIN_MTU, f"UWB-MaxPacketSize of at least {UWB_MIN_MTU} octets", told, "UWB-03")
+    bench.proved(sizes[-1] <= told, f"beacons of at most {told} octets", f"a beacon of {sizes[-1]} octets", "UWB-03")

@@ -36,7 +36,7 @@ def _declares_nothing(bench: Bench) -> str | None:
 def declared(bench: Bench) -> None:
     for identifier, instead in deviations(bench.profile).items():
         observed = f"declared by the profile {bench.profile.name}: {instead}"
-        bench.check(False, requirement(identifier).statement, observed, identifier, shown=True)
+        bench.proved(False, requirement(identifier).statement, observed, identifier)
 
 
 def _denies_nothing(bench: Bench) -> str | None:
@@ -55,4 +55,4 @@ def _denies_nothing(bench: Bench) -> str | None:
 )
 def denied(bench: Bench) -> None:
     for identifier, observed in denied_by(bench.sut.pics, bench.profile).items():
-        bench.check(False, requirement(identifier).statement, observed, identifier, shown=True)
+        bench.proved(False, requirement(identifier).statement, observed, identifier)

@@ -46,7 +46,7 @@ def _judge(bench: Bench, contact: Contact) -> None:
     if contact.mistaken:
         bench.inconclusive("the same configuration of tester and implementation", contact.suspicion)
     for each in contact.violations:
-        bench.check(False, each.expected, each.observed, each.requirement, frames=[each.mark], shown=True)
+        bench.proved(False, each.expected, each.observed, each.requirement, frames=[each.mark])
     if contact.inactive:
         _judge_inactive(bench, contact)
     elif bench.sut.pics.vardis is False:
@@ -59,7 +59,7 @@ def _judge_inactive(bench: Bench, contact: Contact) -> None:
     what = "BP is active after its start"
     upper = bench.session.upper
     if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
-        bench.fail(what, contact.suspicion, "BP-INI-03", shown=True)
+        bench.wrong(what, contact.suspicion, "BP-INI-03")
     bench.inconclusive(what, f"{contact.suspicion}; it is unknown whether it has just started")
 
 
@@ -68,14 +68,14 @@ def _judge_beacons(bench: Bench, contact: Contact) -> None:
     what = "a beacon of the implementation"
     if not contact.frames:
         bench.inconclusive(what, contact.suspicion)
-    bench.check(True, what)
+    bench.passed(what)
 
 
 def _judge_answers(bench: Bench, contact: Contact) -> None:
     what = "a beacon with a request for the variable of a summary"
     if "summary" not in contact.unanswered:
         # If the tester has no unknown variable left, the answer to another stimulus is sufficient.
-        bench.check(contact.answered, what, contact.answers())
+        bench.some(contact.answered, what, seen=contact.answers())
         return
     observed = "; ".join(filter(None, (contact.suspicion, contact.answers())))
     if contact.odd:
@@ -83,16 +83,18 @@ def _judge_answers(bench: Bench, contact: Contact) -> None:
         bench.inconclusive(what, f"{contact.odd} instead; {observed}")
     if contact.violations or not contact.beacons:
         bench.inconclusive(what, observed)
+    if contact.loses_last:
+        bench.missing(what, observed, "BP-RX-07", patience=PERIODS / 2)
     # Each stimulus was repeated, and has the same effect at any time: a small lateness explains no missing answer.
     if contact.answered & {"create", "request"}:
-        bench.fail(what, observed, "VD-PS-01", patience=PERIODS / 2)
+        bench.missing(what, observed, "VD-PS-01", patience=PERIODS / 2)
     if not _should_answer(bench):
         bench.inconclusive(what, f"{observed}; if the implementation has no VarDis, set vardis = false in [pics]")
     if "payload" not in contact.answered:
-        bench.fail(what, f"no such beacon after several attempts; {observed}", patience=PERIODS / 2)
+        bench.missing(what, f"no such beacon after several attempts; {observed}", patience=PERIODS / 2)
     # BP delivers payloads. Whether VarDis sends anything at all shows when an application creates a variable.
     mute = "variable" in contact.unanswered
-    bench.fail(what, observed, "VD-RUN-02" if mute else "VD-PS-01", patience=PERIODS / 2)
+    bench.missing(what, observed, "VD-RUN-02" if mute else "VD-PS-01", patience=PERIODS / 2)
 
 
 def _should_answer(bench: Bench) -> bool:

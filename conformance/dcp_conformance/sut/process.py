@@ -47,10 +47,12 @@ class ProcessControl:
         ends_with_tester: bool = False,
         settle: float = SETTLE,
         udp_port: int | None = None,
+        log: Path | None = None,
     ) -> None:
         """``around`` is entered while a process is made. ``ends_with_tester``: end it with the tester, also on SIGKILL.
 
-        ``udp_port``: that of the link; None for Ethernet.
+        ``udp_port``: that of the link; None for Ethernet. ``log``: a new file for the output of all processes that are
+        started.
 
         Raises ``UsageError`` for commands that cannot be read and for a process that is not there.
         """
@@ -58,6 +60,9 @@ class ProcessControl:
         self._stop = None if stop is None else split("--stop", stop)
         self._restart = None if restart is None else split("--restart", restart)
         self._pidfile = None if pidfile is None else Path(pidfile)
+        self._log = log
+        if log is not None:
+            log.unlink(missing_ok=True)
         self._around = around
         self._ends_with_tester = ends_with_tester
         self._settle = settle
@@ -139,6 +144,7 @@ class ProcessControl:
         try:
             self._process = Child(
                 self._start,
+                self._log,
                 environment=self._started.environment(),
                 around=self._around,
                 ends_with_parent=self._ends_with_tester,

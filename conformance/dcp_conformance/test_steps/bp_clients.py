@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.errors import CouldNotAskError, UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant
@@ -21,6 +21,7 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer, Notification
 
 from .beacon_gaps import between_beacons
+from .kept_payloads import unused_protocol_id as unused_protocol_id
 
 #: Maximum delay of a notification in ns that waits allow for.
 _MOST_DELAY = 1_000_000_000
@@ -60,6 +61,8 @@ LISTED = frozenset(
     }
 )
 """The fields of an entry of BP-ListRegisteredProtocols that the specification names."""
+
+_LISTED_AS = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
 
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
@@ -129,7 +132,11 @@ def largest_payload(bench: Bench) -> int:
 
 
 def room(bench: Bench) -> int:
-    """Return the number of octets for payload blocks, including their headers, in one beacon."""
+    """Return the number of octets for payload blocks, including their headers, in one beacon.
+
+    Raise ``CouldNotAskError`` beside other cases, whose payloads take a part of it.
+    """
+    bench.control.needs_whole_beacons()
     return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
@@ -141,22 +148,6 @@ def areas_of_fixed_size(bench: Bench) -> str | None:
 
 
 # -- clients -----------------------------------------------------------------------------------------------------------
-
-
-def unused_protocol_id(bench: Bench) -> int:
-    """Return an unregistered protocol identifier, the one that the tester used least recently.
-
-    Raises ``NamesUsedUp`` if all of them may still be registered.
-    """
-    width = bench.profile.types.protocol_id.width
-    first, size = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
-    session = bench.session
-    numbers = (first + (session.next_protocol + 1 + step) % size for step in range(size))
-    number = next((each for each in numbers if each not in session.held_protocols), None)
-    if number is None:
-        bench.identifiers.used_up("an unregistered protocol identifier", 0, size)
-    session.next_protocol = number - first
-    return number
 
 
 class BPClient:
@@ -183,14 +174,25 @@ class BPClient:
             "maxEntries": entries,
             "allowMultiplePayloads": several,
         }
+        self._queues = mode in (DROPTAIL, DROPHEAD, QueueingMode.QUEUE)
         self.answer = Answer()
         self._number = 0
 
     def __enter__(self) -> Self:
-        self.answer = self.bench.must(REGISTER, **self.registration)
+        bench = self.bench
+        if why := bench.sut.lacks("queue_entries", self.registration["maxEntries"] if self._queues else 0):
+            bench.verdicts.not_applicable(f"{why}, and this case needs more")
+        self.answer = bench.call(REGISTER, **self.registration)
+        if not self.answer.ok and bench.session.beside and bench.sut.capacity("clients"):
+            raise CouldNotAskError("other cases are executed at the same time, and have clients")
+        if not self.answer.ok and (why := bench.sut.lacks("clients", bench.clients + 1)):
+            bench.verdicts.not_applicable(f"{why}, and this case needs more")
+        bench.services.require_success(REGISTER, self.answer)
+        bench.clients += 1
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.bench.clients -= 1
         # If the upper tester has stopped answering, an earlier call has reported it.
         with contextlib.suppress(UpperTesterError):
             self.bench.call(DEREGISTER, protId=self.prot_id)
@@ -244,6 +246,15 @@ class BPClient:
         entry = self.entry()
         return None if entry is None else {name: value for name, value in entry.items() if name in LISTED}
 
+    def listing(self) -> dict[str, Any]:
+        """Return the fields that the list must have for this client, by their names in the list."""
+        given = self.registration
+        found = {each: given[name] for each, name in _LISTED_AS.items()}
+        if self.bench.features.allow_multiple_payloads and QueueingMode(given["queueingMode"]).is_queue:
+            # Both fields are irrelevant for the other modes.
+            found |= {each: given[each] for each in ("allowMultiplePayloads", "maxEntries")}
+        return found
+
     # -- beacons ----------------------------------------------------------------------------------------------
 
     def in_frame(self, heard: ReceivedBeacon) -> list[bytes]:
@@ -260,14 +271,7 @@ class BPClient:
 
     def check_silent(self, after: int) -> None:
         """Check that no beacon since a time (ns) has a payload of this client."""
-        frames = self.frames(after=after)
-        self.bench.check(
-            not frames,
-            "no beacon with a payload of the client",
-            f"{len(frames)} beacons with its payloads",
-            frames=frames[:8],
-            shown=True,
-        )
+        self.bench.none(self.frames(after=after), "no beacon with a payload of the client")
 
     def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> ReceivedBeacon | None:
         """Wait for a beacon with this payload, or with any of this client."""
@@ -292,9 +296,8 @@ class BPClient:
 
 def registered(bench: Bench) -> dict[int, dict[str, Any]]:
     """Return the entries of BP-ListRegisteredProtocols by protocol identifier."""
-    found = bench.must(LIST).result.get("protocols")
-    if not isinstance(found, list):
-        bench.fail(f"a list in the answer to {LIST}", f"protocols: {found!r}", shown=True)
+    told = bench.must(LIST).result.get("protocols")
+    found = bench.present(told if isinstance(told, list) else None, f"a list in the answer to {LIST}", seen=told)
     return {each["protocolId"]: each for each in found if isinstance(each, dict) and "protocolId" in each}
 
 
@@ -316,11 +319,11 @@ def octets_of(notification: Notification) -> bytes:
 
 
 def notification_delay(bench: Bench) -> int:
-    """Return the time in ns by which the upper tester may delay a notification: that of a slow call.
+    """Return the time in ns by which the upper tester may delay a notification: that of a slow call, or as measured.
 
     The specification does not limit how long the implementation's adapter takes.
     """
-    return min(bench.session.slow_call, _MOST_DELAY)
+    return min(max(bench.session.slow_call, bench.session.notifications), _MOST_DELAY)
 
 
 def wait_for_notifications(bench: Bench) -> None:

@@ -13,6 +13,6 @@ def check_confirm_time(bench: Bench, delays: list[int], others: list[int]) -> No
     """
     median = sorted(delays)[len(delays) // 2]
     limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(
-        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    bench.some(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", seen=f"{median / MS:.0f} ms"
     )

@@ -5,14 +5,17 @@ If they cannot be set, the maximum payload size is that of the PIXIT, and the le
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
+_ATTEMPTS: Final = 6
 PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
 
@@ -27,15 +30,37 @@ def longest(bench: Bench) -> tuple[bytes, bytes]:
     value = min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     description = min(bench.sut.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
     # The parameter of 1.0 counts the NUL after the text.
-    nul = bench.features.string_format == "nul-terminated"
-    return b"v" * max(1, value), b"d" * max(1, description - nul)
+    return b"v" * max(1, value), b"d" * max(1, description - (bench.features.string_format == "nul-terminated"))
+
+
+def undisturbed(bench: Bench, kind: ICType, attempt: Callable[[], list[ReceivedBeacon]]) -> list[ReceivedBeacon]:
+    """Repeat ``attempt`` until the beacons that it returns have records of the variables of the case only.
+
+    An application on the node may update a variable of its own, whose records take room. Stops as inconclusive if they
+    do so each time. Only records count that are composed before those of ``kind`` or with them.
+    """
+    order = bench.features.container_order
+    earlier = order[: order.index(kind) + 1]
+    for _ in range(_ATTEMPTS):
+        frames = attempt()
+        records = [each for heard in frames for each in heard.instructions() if each.kind in earlier]
+        strange = {each.var_id for each in records if bench.identifiers.is_applications(each.var_id)}
+        if not strange:
+            break
+    else:
+        names = ", ".join(map(str, sorted(strange)))
+        what = "payloads with the records of this case only, which it needs"
+        bench.inconclusive(what, f"records of variable {names} in each of {_ATTEMPTS} attempts")
+    return frames
 
 
 def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int = 9) -> list[VarCreate] | None:
     """Return VarCreates of new variables whose records of a kind have exactly ``octets`` octets in total.
 
     ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
+    Raise ``CouldNotAskError`` beside other cases.
     """
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
 
     def made(var_id: int, value_length: int, length: int) -> VarCreate:

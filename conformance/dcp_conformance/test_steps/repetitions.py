@@ -1,4 +1,4 @@
-"""Checks of the records of a variable in several beacons: their number, one in each beacon, and their order."""
+"""Checks of the records of a variable in several beacons: one in each beacon, and their order."""
 
 from __future__ import annotations
 
@@ -11,42 +11,16 @@ from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
 
 
-def check_beacons(bench: Bench, found: Sequence[ReceivedBeacon], count: int, record: str, *requirements: str) -> None:
-    """Check that ``count`` beacons have a record, such as "VarUpdate"; ``found`` are the beacons with it."""
-    bench.check(
-        len(found) == count,
-        f"{count} beacons with the {record}",
-        f"{len(found)} beacons",
-        *requirements,
-        frames=found,
-        shown=len(found) > count,
-    )
-
-
 def check_one_in_each(
     bench: Bench, beacons: Sequence[ReceivedBeacon], kind: ICType, var_id: int, *requirements: str
 ) -> None:
     """Check that no beacon has two records of a kind about a variable."""
     twice = [heard for heard in beacons if len(heard.instructions(kind, var_id)) > 1]
-    bench.check(
-        not twice,
-        f"at most one {RECORD_CLASSES[kind].__name__} of the variable in each beacon",
-        f"more in {len(twice)} beacons",
-        *requirements,
-        frames=twice,
-        shown=True,
-    )
+    bench.none(twice, f"at most one {RECORD_CLASSES[kind].__name__} of the variable in each beacon", *requirements)
 
 
 def check_order(bench: Bench, updates: Sequence[Instruction], requirement: str) -> list[int]:
     """Check that the sequence numbers of VarUpdates do not decrease; return them."""
     numbers: list[int] = [each.record.seqno for each in updates]
-    bench.check(
-        numbers == sorted(numbers),
-        "sequence numbers that do not decrease",
-        f"{numbers}",
-        requirement,
-        frames=updates,
-        shown=True,
-    )
+    bench.answered(numbers, sorted(numbers), "sequence numbers that do not decrease", requirement, frames=updates)
     return numbers

@@ -210,11 +210,7 @@ def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> d
             f"{entity} = false in [pics]"
         )
         bench.inconclusive(f"{name} registered under protocol identifier {prot_id}", observed, *requirements)
-    if shown is None:
-        bench.fail(
-            f"{name} registered under protocol identifier {prot_id}", "not registered", *requirements, shown=True
-        )
-    return shown
+    return bench.present(shown, f"{name} registered under protocol identifier {prot_id}", *requirements)
 
 
 def _may_be_missing(bench: Bench, name: str) -> bool:
@@ -230,7 +226,7 @@ def check_registered_name(bench: Bench, shown: object, title: str) -> None:
     match = re.fullmatch(re.escape(title) + r" V(\d+\.\d+)", str(shown))
     first, last = min(SpecVersion), max(SpecVersion)
     known = match is not None and first <= match[1] <= last
-    bench.check(known, f"the name '{title} Vx.y', V{first} to V{last}", repr(str(shown)), shown=True)
+    bench.proved(known, f"the name '{title} Vx.y', V{first} to V{last}", repr(str(shown)))
     if match is not None:
         bench.info("Which version does the name of the protocol have? (X31)", f"V{match[1]}")
 

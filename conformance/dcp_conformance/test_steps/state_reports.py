@@ -3,7 +3,8 @@
 An application may submit safety data at any time. SRP sends only the newest, so the tester's may be replaced before a
 beacon is sent, and sequence numbers count the submissions of both. The tester recognises its own reports by their
 safety data, repeats a submission that an application has replaced, and checks sequence numbers exactly only if no
-application submits safety data.
+application submits safety data. New reports before any submission of the tester prove an application. Reports after a
+submission prove none: a faulty implementation may repeat the tester's data with new numbers, and change them.
 """
 
 from __future__ import annotations
@@ -24,9 +25,8 @@ _DIFFERENT: Final = 99
 #: Number of repeated submissions, and the fraction of a beacon period between them, while an application replaces them.
 _BURST: Final = 90
 _PAUSE: Final = 16
-#: Number of beacon periods to listen for an application, and of reports that prove one.
+#: Number of beacon periods to listen for an application.
 _LISTEN: Final = 40
-_SHOWN: Final = 2
 
 
 class Sent(NamedTuple):
@@ -50,6 +50,8 @@ class Reporter:
         """Number of submissions so far."""
         self._handed: list[dict[str, Any]] = []
         self._moments: list[tuple[Moment, int]] = []
+        self._begun = len(bench.heard)
+        """Number of the beacons received before the first submission."""
         self._application: bool | None = None
 
     def next_values(self) -> dict[str, Any]:
@@ -83,30 +85,38 @@ class Reporter:
         return values in self._handed or values == safety_data(self.bench, _DIFFERENT)
 
     def application(self) -> bool:
-        """Return whether an application submits safety data: new reports without submissions of the tester.
+        """Return whether an application submits safety data.
 
-        The first call takes some seconds.
+        If the run has not listened for long enough before the first submission, this takes some seconds and resets the
+        implementation. Without UT-Reset, new reports with other data than the tester's count.
         """
         if self._application is None:
-            bench = self.bench
-            # The report of the last submission may still be in transit.
-            bench.wait(2)
-            start = bench.mark()
-            known = {each.report.seqno for each in bench.heard if each.report is not None}
-            bench.wait(_LISTEN)
-            seen = {
-                each.report.seqno for each in bench.heard[start:] if each.report is not None and not self.is_own(each)
-            }
-            self._application = len(seen - known) >= _SHOWN
+            bench, found = self.bench, self.bench.session.foreign_reports
+            upper = bench.session.upper
+            resettable = upper is not None and "UT-Reset" in upper.methods
+            if not found.proved and found.listened < _LISTEN * bench.period:
+                # The report of the last submission may still be in transit.
+                bench.wait(2)
+                if resettable:
+                    bench.must("UT-Reset")
+                else:
+                    found.forget(bench.now())
+                bench.wait(_LISTEN)
+            self._application = found.proved
         return self._application
+
+    def foreign(self, heard: ReceivedBeacon) -> bool:
+        """Return whether a beacon has a report of an application, which may have replaced the tester's."""
+        if heard.report is None or self.bench.session.foreign_reports.is_own(heard.report):
+            return False
+        return self.application()
 
     def sent(self, *requirements: str, what: str = "a beacon with the safety data") -> Sent:
         """Submit safety data and wait for the first beacon with them; fails and stops the case if there is none.
 
         Stops as inconclusive if an application replaces them each time.
         """
-        values = self.submit()
-        return self.awaited(values, *requirements, what=what)
+        return self.awaited(self.submit(), *requirements, what=what)
 
     def awaited(
         self,
@@ -134,15 +144,19 @@ class Reporter:
         if heard is None or heard.report is None:
             return None
         found = reported_safety_data(self.bench, heard.report)
-        index = len(self._handed) - 1 - self._handed[::-1].index(found)
-        moment, count = self._moments[index]
+        moment, count = self._moments[(len(self._handed) - 1 - self._handed[::-1].index(found))]
         return Sent(heard, heard.report, found, moment, count)
 
     def lost(self, what: str, *requirements: str) -> NoReturn:
-        """Fail and stop the case because a report is missing; inconclusive if an application replaces it."""
-        if self.application():
+        """Fail and stop the case because a report is missing; inconclusive if an application has replaced it."""
+        if any(self.foreign(each) for each in self.bench.heard[self._begun :]):
             self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
-        self.bench.fail(what, "none in time", *requirements)
+        known = self.bench.session.foreign_reports
+        since = self.bench.heard[self._begun :]
+        mixed = [each for each in since if each.report and known.is_own(each.report) and not self.is_own(each)]
+        if mixed:
+            self.bench.wrong(what, "values of submitted data in other fields", *requirements, frames=mixed[:4])
+        self.bench.missing(what, "none in time", *requirements)
 
     def _insist(self, since: int) -> ReceivedBeacon | None:
         """Submit safety data repeatedly until a beacon is sent before an application replaces them."""
@@ -168,12 +182,10 @@ class Reporter:
         grown = (last.report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
         count = last.submissions - first.submissions
         exact = grown == count or not self.application()
-        right = grown == count if exact else count <= grown < 1 << 16
-        return self.bench.check(
-            right,
+        return self.bench.proved(
+            grown == count if exact else count <= grown < 1 << 16,
             f"a sequence number increased by {'' if exact else 'at least '}{count}",
             f"from {first.report.seqno} to {last.report.seqno}",
             *requirements,
             frames=[first.heard, last.heard],
-            shown=True,
         )

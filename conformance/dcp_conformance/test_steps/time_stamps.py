@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from dcp_conformance.test_steps.services import Moment, nanoseconds
@@ -21,6 +21,13 @@ class Stamps:
     requests: tuple[Moment, Moment]
 
 
+def stamp_in(bench: Bench, entry: Mapping[str, object], *requirements: str) -> int:
+    """Return the time stamp in a database entry, in ns; fails and stops the case if it is not a number."""
+    found = entry.get("tStamp")
+    number = found if isinstance(found, int) else None
+    return bench.present(number, "a number of nanoseconds as tStamp", *requirements, seen=repr(found))
+
+
 def check_apart(bench: Bench, what: str, measure: Callable[[], Stamps]) -> Stamps:
     """Check that the difference of two stamps is that of the requests that caused them; return the last measurement.
 
@@ -36,7 +43,7 @@ def check_apart(bench: Bench, what: str, measure: Callable[[], Stamps]) -> Stamp
         if low <= apart <= high:
             break
     expected = f"the second {what} {low / MS:.0f} to {high / MS:.0f} ms after the first"
-    bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms", shown=True)
+    bench.proved(low <= apart <= high, expected, f"{apart / MS:.0f} ms")
     return found
 
 
@@ -49,7 +56,7 @@ def check_later(bench: Bench, expected: str, least: int, measure: Callable[[], i
         later = measure()
         if later >= least:
             break
-    bench.check(later >= least, expected, f"{later / MS:.0f} ms later", *requirements, shown=True)
+    bench.proved(later >= least, expected, f"{later / MS:.0f} ms later", *requirements)
 
 
 def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
@@ -57,5 +64,4 @@ def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
     slack = round(bench.sut.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
     near = request.before - slack <= stamp <= request.after + slack
     off = (stamp - request.before) / MS
-    expected = f"{what} within {slack / MS:.0f} ms of the time of the request"
-    bench.check(near, expected, f"{off:.0f} ms off", shown=True)
+    bench.proved(near, f"{what} within {slack / MS:.0f} ms of the time of the request", f"{off:.0f} ms off")

@@ -29,7 +29,7 @@ class Held(NamedTuple):
     """Specification, value and sequence number as stored, for a variable that is alive."""
 
     @property
-    def shown(self) -> bool:
+    def answered(self) -> bool:
         """Whether a record proves the state: a deleted variable is inferred from the missing answer."""
         return self.state != "deleted"
 
@@ -68,6 +68,19 @@ def ask(bench: Bench, var_id: int) -> Held:
         bench.require_alive("a VarSumm")
     unknown = bench.instructions(ICType.REQUEST_VARCREATES, var_id, start)
     return Held("unknown" if unknown else "deleted", None)
+
+
+def check_state(bench: Bench, held: Held, state: str, what: str, /, *requirements: str) -> bool:
+    """Check the state of a variable."""
+    return bench.equal(held.state, state, what, *requirements, given=held.answered)
+
+
+def check_stored(
+    bench: Bench, held: Held, seqno: int, value: bytes, what: str, /, *requirements: str, given: object = True
+) -> bool:
+    """Check the stored sequence number and value. ``given``: see :class:`.Matchers`."""
+    found = held.record and (held.record.upd.seqno, held.record.upd.value)
+    return bench.equal(found, (seqno, bench.records.value(value)), what, *requirements, given=given)
 
 
 def own_id(bench: Bench) -> bytes:

@@ -19,7 +19,7 @@ from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
-from .variable_queries import INSTRUCTIONS, ask, named, stepped, traces
+from .variable_queries import INSTRUCTIONS, ask, check_state, stepped, traces
 
 
 @dataclass
@@ -166,27 +166,22 @@ def ignored(situation: VariableState, since: int) -> None:
         bench.require_alive("a record that it must ignore")
         bench.beacons(1, 1.5)
         found = traces(bench, var_id, since)
-        bench.check(not found, "no record as a reaction", named(found), frames=found, shown=True)
+        bench.none(found, "no record as a reaction")
     elif gone:
         bench.require_alive("a record that it must ignore")
         found = traces(bench, var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
-        bench.check(not found, "no record as a reaction", named(found), frames=found, shown=True)
+        bench.none(found, "no record as a reaction")
         return
     held = ask(bench, var_id)
-    bench.check(
-        held.state == situation.state,
-        f"state of the variable: {situation.state}, as before",
-        str(held),
-        shown=held.shown,
-    )
+    check_state(bench, held, situation.state, "state of the variable, as before")
     if situation.state == "unknown":
         return
     # Any reaction would be in the beacon with the answer at the latest.
     answers = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
     found = [each for each in traces(bench, var_id, since) if each not in answers[-1:]]
-    bench.check(not found, "no record as a reaction", named(found), frames=found, shown=True)
+    bench.none(found, "no record as a reaction")
     if situation.state == "alive":
-        bench.check(held.record == situation.stored, "the stored contents unchanged", str(held), shown=True)
+        bench.answered(held.record, situation.stored, "the stored contents unchanged")
 
 
 def only(situation: VariableState, since: int, kind: ICType, record: VardisRecord) -> None:
@@ -195,12 +190,13 @@ def only(situation: VariableState, since: int, kind: ICType, record: VardisRecor
     requested = kind in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
     found = bench.check_repeated(kind, var_id, 1 if requested else situation.rep_cnt, since)
     # The implementation makes a request itself, with its own values in the fields that the profile adds.
-    wrong = [each for each in found if (plain(each.record) != plain(record) if requested else each.record != record)]
-    observed = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, f"the {kind.label} record {record}", observed, frames=wrong, shown=True)
+    bench.every(
+        found,
+        lambda each: not (plain(each.record) != plain(record) if requested else each.record != record),
+        f"the {kind.label} record {record}",
+    )
     others = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each is not kind])
-    what = f"no records other than {kind.label}"
-    bench.check(not others, what, named(others), frames=others, shown=True)
+    bench.none(others, f"no records other than {kind.label}")
 
 
 def requests_variable(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
@@ -232,8 +228,7 @@ def stores(situation: VariableState, since: int, sent: VardisRecord) -> None:
     bench.identifiers.created.add(situation.var_id)
     only(situation, since, ICType.CREATE_VARIABLES if creates else ICType.UPDATES, sent)
     held = ask(bench, situation.var_id)
-    record = held.record if creates or held.record is None else held.record.upd
-    bench.check(record == sent, "the record in the database", str(held), shown=held.record is not None)
+    bench.equal(held.record if creates or held.record is None else held.record.upd, sent, "the record in the database")
 
 
 def deletes(situation: VariableState, since: int, sent: VardisRecord) -> None:
@@ -243,18 +238,10 @@ def deletes(situation: VariableState, since: int, sent: VardisRecord) -> None:
     first = next(
         (index for index, heard in enumerate(bench.heard) if heard.instructions(ICType.DELETE_VARIABLES, var_id)), since
     )
-    summaries = bench.instructions(ICType.SUMMARIES, var_id, first)
-    bench.check(
-        not summaries,
-        "no summary after the VarDelete",
-        "the variable is still summarised",
-        frames=summaries,
-        shown=True,
-    )
-    held = ask(bench, var_id)
+    bench.none(bench.instructions(ICType.SUMMARIES, var_id, first), "no summary after the VarDelete")
     # Up to 1.3 the variable is removed from the database with the last repetition.
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
-    bench.check(held.state == after, f"state of the variable: {after}", str(held), shown=held.shown)
+    check_state(bench, ask(bench, var_id), after, "state of the variable")
 
 
 def taken_over(situation: VariableState, since: int, sent: VardisRecord) -> None:

@@ -19,6 +19,7 @@ from .control import Control
 from .identifiers.allocation import Identifiers
 from .judgement.excuses import Excuses
 from .judgement.losses import Losses
+from .judgement.matchers import Matchers
 from .judgement.verdicts import Verdicts
 from .probes import Probes, Teaching
 from .reception.receiver import Receiver
@@ -39,8 +40,8 @@ __all__ = ["MS", "Bench", "Session"]
 class Bench:
     """The view that one case has of the session.
 
-    It has no behaviour of its own: it connects parts, and names the steps that most cases consist of. A case reaches
-    everything else through the part, as in ``bench.records.value(b"long value")``.
+    It connects parts, and names the steps that most cases consist of. A case reaches everything else through the
+    part, as in ``bench.records.value(b"long value")``.
     """
 
     def __init__(self, session: Session, case: Case) -> None:
@@ -52,6 +53,8 @@ class Bench:
         """The recording of the case."""
         self.heard: list[ReceivedBeacon] = []
         """The implementation's frames since the case began."""
+        self.clients = 0
+        """Number of clients of BP that the case has registered, and not deregistered."""
 
         # The parts. Each knows only the parts before it.
         created: set[int] = set()
@@ -61,6 +64,7 @@ class Bench:
         self.losses = Losses(lower, traffic, self.heard, self.sut, self.steps, session.counting)
         self.excuses = Excuses(codec, lower, traffic, self.heard, created, session, self.losses, self.assumptions)
         self.verdicts = Verdicts(case, codec, lower, traffic, self.excuses, session.pics.readings)
+        self.matchers = matchers = Matchers(self.verdicts)
         self.identifiers = Identifiers(session, lower, self.sut, self.verdicts, created)
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
         self.builder = FrameBuilder(codec)
@@ -82,14 +86,30 @@ class Bench:
         )  # fmt: skip
 
         # The steps of most cases. Checks:
-        self.check = self.verdicts.check
-        self.require = self.verdicts.require
-        self.fail = self.verdicts.fail
         self.inconclusive = self.verdicts.inconclusive
         self.info = self.verdicts.info
         self.reading = self.verdicts.reading
         self.require_alive = self.probes.require_alive
         self.check_repeated = self.repetitions.check
+        self.some = matchers.some
+        self.required = matchers.required
+        self.complete = matchers.complete
+        self.none = matchers.none
+        self.every = matchers.every
+        self.answered = matchers.answered
+        self.fields = matchers.fields
+        self.present = matchers.present
+        self.proved = matchers.proved
+        self.equal = matchers.equal
+        self.only = matchers.only
+        self.in_order = matchers.in_order
+        self.repeated = matchers.repeated
+        self.one_each = matchers.one_each
+        self.within = matchers.within
+        self.successive = matchers.successive
+        self.passed = matchers.passed
+        self.missing = matchers.missing
+        self.wrong = matchers.wrong
         # Stimuli:
         self.peer = self.peers.new
         self.var_id = self.identifiers.var_id

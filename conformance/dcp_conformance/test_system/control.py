@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final, Protocol
 
-from dcp_conformance.errors import ConformanceError
+from dcp_conformance.errors import ConformanceError, CouldNotAskError
 
 from .judgement.verdicts import Verdicts
 from .probes import Probes
@@ -26,6 +26,7 @@ class RunControl(Protocol):
 
     restart: Callable[[], None] | None
     switch_link: Callable[[bool], None] | None
+    beside: bool
 
     def forget(self) -> None:
         """Record that the implementation is in its initial state."""
@@ -81,6 +82,14 @@ class Control:
                 return
             self._receiver.take_newcomer()
         self._verdicts.inconclusive("an answer of the implementation after its restart", "no answer to five probes")
+
+    def needs_whole_beacons(self) -> None:
+        """Refuse to continue beside other cases, whose payloads take room: the stimulus would not come about.
+
+        Raise ``CouldNotAskError``, after which the case is executed alone.
+        """
+        if self._run.beside:
+            raise CouldNotAskError("other cases are executed at the same time, and take room in the beacons")
 
     @contextmanager
     def link_down(self) -> Iterator[None]:

@@ -14,6 +14,7 @@ from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
 
 from .identifiers.allocation import Identifiers
+from .judgement.matchers import Matchers
 from .judgement.verdicts import Verdicts
 from .known import Question, RunFindings
 from .reception.receiver import Receiver
@@ -49,7 +50,11 @@ class Probes:
         The stimulus is a summary of an unknown variable, unless the implementation did not answer summaries at the
         start of the run: then it is a kind that it answered. ``periods``: see :meth:`.Waiting.until`.
         """
-        return self.ask(self._run.known.question, periods)
+        question, identifiers = self._run.known.question, self._identifiers
+        if question == "summary" and identifiers.created and not identifiers.has_unknown_ids():
+            # A full database requests no further variable (X43).
+            question = "request"
+        return self.ask(question, periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:
         """Send a stimulus of this kind to VarDis, and return whether the answer comes in time.
@@ -82,8 +87,8 @@ class Probes:
 
     def require_alive(self, after: str, *requirements: str) -> None:
         """Fail and stop the case unless VarDis still answers."""
-        alive = self.probe() or self.probe()
-        self._verdicts.require(alive, f"VarDis still answers after {after}", "no answer to two probes", *requirements)
+        alive, what = self.probe() or self.probe(), f"VarDis still answers after {after}"
+        Matchers(self._verdicts).required(alive, what, *requirements, seen="no answer to two probes")
 
 
 class Teaching:

@@ -16,10 +16,11 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
 
+from .foreign_reports import ForeignReports
 from .identifiers.pool import IdentifierPool
 from .judgement.counting import Counting
 from .known import Known
-from .sut_properties import FLOOR, PeriodOverride
+from .sut_properties import FLOOR, PeriodOverride, capacity
 
 __all__ = ["FLOOR", "Session"]
 
@@ -79,6 +80,7 @@ class Session:
             leave=known.removed_after_deletion,
             timed=known.creation_time,
             kept=self.boundaries.values() if last - first >= _MANY else (),
+            capacity=capacity(pics.pixit, profile, "variables"),
         )
         self.creation_time = 0
         """The last time stamp in a record of the tester, in ticks of the profile's clock."""
@@ -89,8 +91,16 @@ class Session:
         """
         self.call_times: deque[int] = deque(maxlen=_CALLS)
         """Durations in ns of the last calls of the upper tester that were executed."""
+        self.beside = False
+        """Whether a case is executed beside others, whose payloads share the beacons with its own."""
+        self.notifications = 0
+        """The time in ns by which notifications are late."""
         self.pausing_fails = False
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
+        self.keeps_payloads: bool | None = None
+        """Whether it keeps buffered payloads while BP is deactivated; None: not tried yet."""
+        self.foreign_reports = ForeignReports(lower.now())
+        """What shows that an application on the node submits safety data."""
         self.counting = Counting()
         """The steps between the sequence numbers of its beacons."""
         overload = lower.overload if isinstance(lower, OnThisMachine) else None
@@ -116,18 +126,22 @@ class Session:
         :meth:`dcp_conformance.test_system.identifiers.allocation.Identifiers.departure`.
         """
         self.counting.heard(heard.seqno)
+        self.foreign_reports.heard(heard.report, arrival.time)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
         gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
         self.identifier_pool.heard(heard.known - gone, gone, departure)
 
     def called(self, method: str, params: Mapping[str, Any], case: str) -> None:
         """Take a call of a service into account that a case is about to make."""
+        if method == "SRP-UpdateSafetyData":
+            self.foreign_reports.submitted(params.get("sData"), self.lower.now())
         self.passive.called(method, params, case)
 
     def forget(self) -> None:
         """Record that the implementation is in its initial state: it knows nothing from before."""
         self.identifier_pool.forget()
         self.held_protocols.clear()
+        self.foreign_reports.forget(self.lower.now())
         self.interrupted()
 
     def interrupted(self) -> None:

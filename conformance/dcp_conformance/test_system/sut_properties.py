@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Protocol
+from collections.abc import Mapping
+from typing import Any, Final, Literal, Protocol
 
 from dcp_spec.constants import Features, features
 from dcp_spec.parameters import parameter
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_conformance.model.pics import REACTION_FLOOR, Pics
+from dcp_conformance.model.pics import REACTION_FLOOR, Pics, Testing
 
 from .assumptions import Assumptions
 from .known import Known
@@ -32,6 +33,23 @@ _PIXIT: Final = {
     "VARDISPAR_SCRUBBING_PERIOD": "scrubbing_period_ms",
     "VARDISPAR_BUFFER_CHECK_PERIOD": "buffer_check_period_ms",
 }
+
+
+Capacity = Literal["variables", "neighbours", "clients", "queue_entries"]
+"""Keys of the PIXIT about the memory of the implementation."""
+_CAPACITIES: Final[Mapping[Capacity, str]] = {
+    "variables": "variables",
+    "neighbours": "neighbours",
+    "clients": "clients",
+    "queue_entries": "payloads in a queue",
+}
+
+
+def capacity(pixit: Testing, profile: Profile, what: Capacity) -> int | None:
+    """Return a capacity as declared in the PIXIT or, otherwise, in the profile; None: unlimited."""
+    limits = {"variables": profile.limits.max_variables, "neighbours": profile.limits.max_neighbours}
+    declared: int | None = getattr(pixit, what)
+    return declared if declared is not None else limits.get(what)
 
 
 class PeriodOverride(Protocol):
@@ -108,6 +126,12 @@ class SutProperties:
     def slowness(self) -> float:
         """Factor by which this implementation may take longer than usual; at least 1."""
         return max(1.0, self._reaction_periods / FLOOR)
+
+    @property
+    def processing(self) -> float:
+        """Number of beacon periods after which a frame that was sent has been processed: the slowest measured answer,
+        which includes the wait for a beacon."""
+        return max(0.5, *self._facts.known.reaction.samples)
 
     @property
     def ahead(self) -> int:
@@ -196,16 +220,15 @@ class SutProperties:
             self.bound(name, missing=True)
         return max(1, min(wanted, self.parameter(name) or wanted))
 
-    def lacks_room(self, variables: int) -> str:
-        """Return why the implementation cannot store ``variables`` variables, according to the profile; empty
-        otherwise.
-        """
-        room = self.profile.limits.max_variables
-        return (
-            f"according to the profile, the implementation stores at most {room} variables"
-            if room and room < variables
-            else ""
-        )
+    def capacity(self, what: Capacity) -> int | None:
+        """Return a capacity of the implementation as declared in the PIXIT or, otherwise, in the profile."""
+        return capacity(self.pixit, self.profile, what)
+
+    def lacks(self, what: Capacity, wanted: int) -> str:
+        """Return why the implementation has no room for ``wanted`` entries; empty if no declared capacity says so."""
+        room = self.capacity(what)
+        name = _CAPACITIES[what]
+        return f"the implementation has room for {room} {name}, as declared" if room and room < wanted else ""
 
     @property
     def longest_description(self) -> int:

@@ -178,7 +178,7 @@ def placeholders(method: Method) -> frozenset[str]:
 @functools.cache
 def parameters_of_methods() -> dict[str, frozenset[str]]:
     """The parameters of each method of the contract, out of its schema."""
-    text = resources.files("dcp_conformance").joinpath("data", "upper-tester.schema.json").read_bytes()
+    text = resources.files("dcp_spec").joinpath("data", "upper-tester.schema.json").read_bytes()
     definitions: dict[str, Any] = msgspec.json.decode(text)["$defs"]
     found: dict[str, frozenset[str]] = {}
     for name, definition in definitions.items():

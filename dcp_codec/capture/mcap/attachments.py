@@ -13,6 +13,8 @@ import msgspec
 from dcp_codec.capture.bytesource import READ_SIZE, ByteSource, open_source
 from dcp_codec.capture.frame import CaptureError
 
+from .index import read_index
+
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
 _OPCODE = 0x09
@@ -43,13 +45,27 @@ class Attachment(msgspec.Struct, frozen=True):
 def attachments(path: str | Path) -> list[Attachment]:
     """Return the attachments of an MCAP file in their order, also of an unfinished file.
 
-    An attachment that is cut off is left out. Raises `CaptureError` if the file is not an MCAP file.
+    An attachment that is cut off is left out. The index tells the places after damage. Raises `CaptureError` if the
+    file is not an MCAP file.
     """
     source = open_source(path)
     try:
-        return list(_scan(source))
+        found = {each.offset: each for each in _scan(source)}
     finally:
         source.close()
+    index = read_index(path)
+    for place in index.attachments if index is not None else ():
+        start = place.offset + _RECORD_HEAD.size
+        if start not in found:
+            source = open_source(path)
+            try:
+                source.skip(start)
+                each = _head(source, place.length - _RECORD_HEAD.size)
+            finally:
+                source.close()
+            if each is not None:
+                found[start] = each
+    return [found[offset] for offset in sorted(found)]
 
 
 def extract_attachment(path: str | Path, attachment: Attachment, target: str | Path) -> None:

@@ -52,13 +52,13 @@ class Unpacker:
         # Kept, since creating a zstandard decompressor takes longer than unpacking a chunk.
         self._zstd: Any = None
 
-    def open(self, content: bytes, length: int) -> Chunk:
+    def open(self, content: bytes, length: int, *, check: bool = True) -> Chunk:
         """Unpack the chunk record of `length` octets whose present part is `content`.
 
         Raises `ChunkError` if a complete one is damaged. For one that is cut off, returns as much as can be unpacked,
-        without a check.
+        without a check; so it does if not ``check``.
         """
-        whole = len(content) == length
+        whole = check and len(content) == length
         try:
             size, crc, compression, start, stop = _head(content, length)
         except ChunkError:

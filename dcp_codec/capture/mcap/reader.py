@@ -25,7 +25,9 @@ from dcp_codec.capture.reader import CaptureReader, counted
 
 from . import raw_frame as rawframe
 from . import raw_json as rawjson
-from .chunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
+from .chunk import MAX_CHUNK_LENGTH, Chunk, ChunkError, Unpacker
+from .index import read_index, read_record
+from .original import read_original
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -72,7 +74,13 @@ class McapReader(CaptureReader):
         self._unpacker = Unpacker() if allocate is None else Unpacker(allocate)
         # Over the data section, and after it over the summary section.
         self._crc = 0
+        #: The index of a regular file. Its descriptions are copies, in case those before the frames are damaged.
+        self._index = read_index(source.name) if source.indexed else None
+        for opcode, content in self._index.descriptions if self._index is not None else ():
+            self._describes(opcode, memoryview(content), -1)
         self._events = self._scan()
+        if self._raw:
+            return
         # The first event is always the description of a channel of raw frames. A file that is cut off before any
         # channel is accepted, like one that is cut off after it.
         if next(self._events, False) is False and (self._topics or not self._log.found):
@@ -107,11 +115,14 @@ class McapReader(CaptureReader):
         opcode, length = RECORD_HEAD.unpack_from(source.buffer, source.start)
         head = source.take(RECORD_HEAD.size)
         if opcode == 0:
+            yield from self._by_index(offset)
             if any(head):
                 self._damaged("bad-record", offset, "no record")
             else:
                 self._damaged("zero-filled", offset, "only zeros, as after a power cut,")
             raise _End
+        if self._is_misplaced(opcode, length, offset):
+            yield from self._by_index(offset)
         before = self._crc
         self._crc = crc32(head, before)
         if opcode == Opcode.CHUNK and length <= MAX_CHUNK_LENGTH:
@@ -223,16 +234,7 @@ class McapReader(CaptureReader):
         try:
             chunk = self._unpacker.open(content, length)
         except ChunkError as error:
-            self._log.count(
-                error.reason,
-                error.reason,
-                lambda times, why=str(error): (
-                    f"{counted(times, 'chunk')} passed over, the first at octet "  # type: ignore[misc]
-                    f"{offset} with {length} octets: it {why}."
-                ),
-                offset,
-                self._number,
-            )
+            yield from self._damaged_chunk(error, content, offset, length)
         else:
             before = self._frames_read
             where = -1 if chunk.start < 0 else offset + RECORD_HEAD.size + chunk.start
@@ -241,6 +243,74 @@ class McapReader(CaptureReader):
                 rest = f"{self._so_far()}, {self._frames_read - before} of them from that chunk"
                 self._truncated(Opcode.CHUNK, offset, length, len(content), rest)
         self._crc = crc32(content, self._crc)
+
+    def _damaged_chunk(self, error: ChunkError, content: bytes, offset: int, length: int) -> Iterator[Frame | None]:
+        """Read a chunk that is damaged or cannot be unpacked: from the attached original file, or in part."""
+        if self._index is not None and self._index.attachments and self._frames_read == self._number:
+            original = read_original(self._source.name, self._index, self._link_types, self._number)
+            if original is not None:
+                self._log.add(
+                    error.reason,
+                    f"the chunk at octet {offset} {error}: it and the rest are read from the original file that is "
+                    f"attached ({original.name}); {self._so_far()}.",
+                    offset,
+                    frame=self._number,
+                )
+                for frame in original.frames:
+                    self._number = frame.number
+                    yield from self._given(frame)
+                raise _End
+        before = self._frames_read
+        try:
+            chunk = self._unpacker.open(content, length, check=False)
+        except ChunkError:
+            chunk = Chunk(b"", -1)
+        where = -1 if chunk.start < 0 else offset + RECORD_HEAD.size + chunk.start
+        yield from self._inside(chunk.records, where, whole=False)
+        read = self._frames_read - before
+        what = f"{counted(read, 'frame')} of it read all the same" if read else "passed over"
+        self._log.count(
+            error.reason,
+            error.reason,
+            lambda times, why=str(error): (
+                f"{counted(times, 'chunk')} damaged, the first at octet "  # type: ignore[misc]
+                f"{offset} with {length} octets: it {why}; {what}."
+            ),
+            offset,
+            self._number,
+        )
+
+    def _given(self, frame: Frame) -> Iterator[Frame]:
+        """Yield a frame that does not come from a message."""
+        yield frame
+
+    def _is_misplaced(self, opcode: int, length: int, offset: int) -> bool:
+        """Return whether the head of a record contradicts the index, so that the next record cannot be found."""
+        if self._index is None or not self._index.chunks:
+            return False
+        at = {place.offset: place.length for place in self._index.chunks}
+        if offset in at:
+            return opcode != Opcode.CHUNK or length != at[offset] - RECORD_HEAD.size
+        # Some record must begin at the offset of each later chunk.
+        following = min((each for each in at if each > offset), default=None)
+        return following is not None and offset + RECORD_HEAD.size + length > following
+
+    def _by_index(self, offset: int) -> Iterator[Frame | None]:
+        """Read the chunks from `offset` on at their places in the index, and end; nothing without any."""
+        places = [each for each in self._index.chunks if each.offset >= offset] if self._index is not None else []
+        if not places:
+            return
+        self._log.add(
+            "bad-record",
+            f"the record at octet {offset} is damaged; {counted(len(places), 'chunk')} after it read by the index at "
+            f"the end of the file; {self._so_far()}.",
+            offset,
+            frame=self._number,
+        )
+        for place in places:
+            content = read_record(self._source.name, place)
+            yield from self._chunk(content, place.offset, place.length - RECORD_HEAD.size)
+        raise _End
 
     def _inside(
         self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
@@ -300,7 +370,8 @@ class McapReader(CaptureReader):
         """Process a schema or channel; return whether it is the first channel of raw frames."""
         if opcode == Opcode.SCHEMA:
             schema = self._parse(Schema, content, offset)
-            if schema is not None:
+            # One of two copies may be damaged.
+            if schema is not None and self._schemas.get(schema.id) != rawframe.SCHEMA_NAME:
                 self._schemas[schema.id] = schema.name
             return False
         channel = self._parse(Channel, content, offset)

@@ -16,6 +16,7 @@ SCHEMES: dict[str, tuple[str, str]] = {
     "code": ("#f3f4f5", "#23282e"),
     "fail": ("#c0272d", "#ff7b73"),
     "good": ("#a9c8e8", "#2f5478"),
+    "way": ("#7fa8d3", "#41729f"),
     "bad": ("#ffd9d6", "#5a2220"),
     "bad-ink": ("#8c1414", "#ffc9c4"),
     "accent": ("#2b5fa9", "#8fb8f0"),

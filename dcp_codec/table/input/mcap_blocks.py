@@ -157,6 +157,11 @@ class McapBlocks(McapReader):
             self._append(event)
         yield from self._take_ready()
 
+    def _given(self, frame: Frame) -> Iterator[Any]:
+        self._frames_read += 1
+        self._append(frame)
+        yield from self._take_ready()
+
     def _append(self, frame: Frame) -> None:
         if self._count == self._most:
             self._end_block()

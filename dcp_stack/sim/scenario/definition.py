@@ -267,6 +267,13 @@ class Restart(Event, tag="restart", kw_only=True, frozen=True):
     node: int
 
 
+class Clock(Event, tag="clock", kw_only=True, frozen=True):
+    """The wall clock of the node is set forward (``step_s`` > 0) or back; in simulations only."""
+
+    node: int
+    step_s: float
+
+
 class Partition(Event, tag="partition", kw_only=True, frozen=True):
     """Frames no longer leave the group of their sender. Nodes that are in no group form another group."""
 
@@ -298,7 +305,19 @@ class Submission(Event, tag="safety-data", kw_only=True, frozen=True):
 
 
 Action = (
-    Create | Update | Delete | Activate | Deactivate | Down | Up | Restart | Partition | Heal | SetLink | Submission
+    Create
+    | Update
+    | Delete
+    | Activate
+    | Deactivate
+    | Down
+    | Up
+    | Restart
+    | Clock
+    | Partition
+    | Heal
+    | SetLink
+    | Submission
 )
 
 

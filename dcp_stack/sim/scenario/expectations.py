@@ -10,6 +10,7 @@ from .definition import (
     NS_PER_S,
     Activate,
     BeaconRate,
+    Clock,
     Converged,
     Create,
     Deactivate,
@@ -67,6 +68,8 @@ def describe(event: Event, n: int = 0) -> str:
             return f"node {node} is switched on"
         case Restart(node=node):
             return f"node {node} restarts"
+        case Clock(node=node, step_s=step):
+            return f"the clock of node {node} is set by {step:+g} s"
         case Partition(groups=groups):
             return "partition " + " | ".join(",".join(map(str, group)) for group in groups)
         case SetLink(sender=None):

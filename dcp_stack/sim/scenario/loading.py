@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import math
 import random
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
 
 import msgspec
 from dcp_spec.catalogue.readings import UnknownReadingError
@@ -22,6 +24,7 @@ from dcp_stack.virtual.world import node_id
 
 from .definition import (
     BeaconRate,
+    Clock,
     Content,
     Converged,
     Create,
@@ -46,20 +49,63 @@ MAX_EVENTS = 1_000_000
 _SHORTEST_S = 1e-9
 
 T = TypeVar("T", bound=msgspec.Struct)
+NO_SETTINGS: Final[Mapping[str, object]] = MappingProxyType({})
 
 
-def load_scenario(path: str | Path) -> Scenario:
-    """Return the scenario in a TOML file. Raises :class:`ScenarioError`."""
+def load_scenario(path: str | Path, settings: Mapping[str, object] = NO_SETTINGS) -> Scenario:
+    """Return the scenario in a TOML file with ``settings`` (see :func:`change`). Raises :class:`ScenarioError`."""
     raw = _read(Path(path))
-    # Paths of profiles and topologies are relative to the scenario, not to the working directory.
-    folder = Path(path).parent
-    topology = raw.get("topology")
+    return scenario_from(change(raw, settings, str(path)), str(path), Path(path).parent)
+
+
+def scenario_from(raw: dict[str, Any], where: str, folder: Path | None = None) -> Scenario:
+    """Return the scenario with the content of a file. Raises :class:`ScenarioError`.
+
+    Paths of profiles and topologies are relative to ``folder``, that of the scenario.
+    """
+    topology, profile = raw.get("topology"), raw.get("profile")
     if isinstance(topology, str):
         raw["topology"] = msgspec.to_builtins(parse_topology(topology, folder))
-    profile = raw.get("profile")
-    if isinstance(profile, str) and profile.endswith(".toml") and (folder / profile).exists():
+    if folder is not None and isinstance(profile, str) and profile.endswith(".toml") and (folder / profile).exists():
         raw["profile"] = str(folder / profile)
-    return check(_convert(raw, Scenario, str(path)), str(path))
+    return check(_convert(raw, Scenario, where), where)
+
+
+def change(raw: dict[str, Any], settings: Mapping[str, object], where: str) -> dict[str, Any]:
+    """Return the content of a scenario file with other values, by dotted keys such as ``link.loss``.
+
+    Parts of keys may be numbers of list entries, from 0, or ``*`` for all entries: ``events.*.repetitions`` sets the
+    key in all events that can have it. Raises :class:`ScenarioError` for a key that leads nowhere.
+    """
+    raw = copy.deepcopy(raw)
+    for key, value in settings.items():
+        *path, last = key.split(".")
+        found: list[Any] = [raw]
+        for number, part in enumerate(path):
+            found = [below for each in found for below in _below(each, part, [*path, last][number + 1])]
+        found = [each for each in found if isinstance(each, dict) and _can_have(each, path, last)]
+        if not found:
+            raise ScenarioError(f"{where}: {key}: there is no such key in this scenario")
+        for each in found:
+            each[last] = value
+    return raw
+
+
+def _below(table: Any, part: str, following: str) -> list[Any]:
+    """Return the entries of a table or list; a missing table is added unless it would be a list."""
+    if isinstance(table, list):
+        return table if part == "*" else table[int(part) : int(part) + 1] if part.isdecimal() else []
+    if not isinstance(table, dict) or (part not in table and (following == "*" or following.isdecimal())):
+        return []
+    return [table.setdefault(part, {})]
+
+
+def _can_have(table: dict[str, Any], path: list[str], key: str) -> bool:
+    """Return whether an event or expectation has a key; other tables are checked when they are converted."""
+    if len(path) != 2 or path[0] not in ("events", "expect"):
+        return True
+    kind = _variant(*((Event, table.get("do")) if path[0] == "events" else (Expectation, table.get("that"))))
+    return kind is None or key in {field.encode_name for field in msgspec.structs.fields(kind)}
 
 
 def parse_topology(text: str, folder: Path | None = None) -> Topology:
@@ -263,6 +309,8 @@ def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Prob
     node = getattr(event, "node", None)
     if isinstance(node, int):
         yield from _node_problems(scenario, f"{key}.node", (node,))
+    if isinstance(event, Clock) and not abs(event.step_s) <= MAX_DURATION_S:
+        yield f"{key}.step_s", f"{event.step_s:g} is not within {-MAX_DURATION_S:g}..{MAX_DURATION_S:g} s"
     if isinstance(event, Content):
         yield from _content_problems(key, event)
     if isinstance(event, Create) and event.repetitions < 1:

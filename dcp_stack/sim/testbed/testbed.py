@@ -14,6 +14,7 @@ from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock
 from dcp_stack.sim.scenario.definition import (
     NS_PER_S,
     Activate,
+    Clock,
     Create,
     Deactivate,
     Delete,
@@ -75,6 +76,8 @@ class Testbed:
             raise ScenarioError(
                 "topology.positions: a testbed needs the position of each node; tracks change links in simulations only"
             )
+        if any(isinstance(event, Clock) for event in scenario.events):
+            raise ScenarioError("events: a testbed cannot set the clocks of its nodes; clock is for simulations only")
         codec = scenario_codec(scenario)
         check_nodes(scenario, codec)
         self.profile = codec.profile

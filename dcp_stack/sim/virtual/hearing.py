@@ -25,7 +25,7 @@ from dcp_spec.status import BPStatus
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.values import ExtendedSafetyData
+from dcp_codec.values import ExtendedSafetyData, VarSumm
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.statistics import NeighbourLoss
@@ -37,7 +37,7 @@ from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 from dcp_stack.vardis.database import DBEntry
-from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.entity import Vardis, VardisState
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell
 
@@ -45,6 +45,10 @@ from dcp_stack.vardis.state_table import Action, Cell
 MOST_WAITING: Final = 64
 #: Maximum number of known payloads of a node.
 MOST_KNOWN: Final = 1024
+#: Readings that have no effect on beacons without an effect: what VarDis ignores once it ignores again.
+VARDIS_READINGS: Final = frozenset(
+    "X14 X17 X20 X21 X23 X26 X27 X28 X34 X36 X37 X38 X39 X41 X54".split()  # noqa: SIM905 - a list of identifiers
+)
 #: Number of parsed frames kept: enough for those in flight at a time.
 _PARSED: Final = 4096
 
@@ -224,6 +228,22 @@ class HearingReceiver(Receiver):
     quiet = True
     """Whether all records of the current payload were ignored so far."""
 
+    def _summary(self, record: VarSumm, offset: int) -> None:
+        """Process a VarSumm as :meth:`Receiver._summary` does, without the effect that reports an equal number.
+
+        Nearly all summaries have the stored number. Nodes have the fast path only while nothing listens to drops.
+        """
+        entry = self._database.lookup(record.var_id)
+        if (
+            entry is not None
+            and entry.seqno == record.seqno
+            and not entry.is_deleted
+            and entry.spec.prod_id != self._core.own_id
+        ):
+            self._core.delivery.has(record.var_id)
+        else:
+            super()._summary(record, offset)
+
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
         """Execute a cell as :meth:`Receiver._answer` does, and note whether the record has an effect."""
         if cell.action is not Action.IGNORE:
@@ -277,6 +297,11 @@ class HearingVardis(Vardis):
         self.forget()
         return super().start(now, wall)
 
+    def restore(self, state: VardisState) -> None:
+        """Restore as :meth:`Vardis.restore` does, and clear the known payloads."""
+        super().restore(state)
+        self.forget()
+
     def shutdown(self) -> None:
         """Shut down as :meth:`Vardis.shutdown` does, and clear the known payloads."""
         super().shutdown()
@@ -324,12 +349,12 @@ class HearingNode(Node):
         """Determine whether the fast path may be used. Call it after services and after the start.
 
         It may not while a protocol is inactive or has lost its registration with BP, nor if the configuration has
-        readings: the node then processes each beacon completely.
+        readings that concern BP or SRP: the node then processes each beacon completely.
         """
         srp, vardis = self._srp, self._vardis
         ready = (
             self.bp.active
-            and not self.config.readings
+            and VARDIS_READINGS.issuperset(self.config.readings)
             and (srp is None or (srp.registered and self._srp_port.holds))
             and (vardis is None or (vardis.active and self._vardis_port.holds))
         )

@@ -22,6 +22,7 @@ from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
 from dcp_stack.sim.scenario.definition import (
     NS_PER_S,
     Activate,
+    Clock,
     Create,
     Deactivate,
     Delete,
@@ -100,10 +101,16 @@ class Simulation:
     # -- running -------------------------------------------------------------------------------------------------------
 
     def run(self) -> Report:
-        """Execute the scenario from beginning to end. Call it once."""
+        """Execute the scenario from beginning to end. Call it once.
+
+        An interruption (Ctrl-C) ends the run; the report then has what was measured before.
+        """
         real, cpu = time.perf_counter(), time.process_time()
         try:
             self.network.run_until(self.scenario.duration)
+        except KeyboardInterrupt:
+            at = f"interrupted at {self.network.now / NS_PER_S:.3f} s; later expectations are not judged"
+            self.findings.append(Finding("the run reaches its end", False, at))
         finally:
             self.network.close()
             for recorder in self._recorders:
@@ -209,6 +216,8 @@ class Simulation:
             case Restart(node=node):
                 self._switch_off(node)
                 self._switch_on(node)
+            case Clock(node=node, step_s=step):
+                network.stations[node].offset += round(step * NS_PER_S)
             case Partition(groups=groups):
                 medium.partition(groups)
             case Heal():
@@ -309,6 +318,12 @@ class Simulation:
             Finding("no node raises an exception", not failures, "; ".join(failures[:3])),
             Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
         ]
+        totals = self.measurements.values.totals()
+        if scenario.bp.triggered and scenario.vardis and scenario.readings.get("X54") != "after-the-beacon":
+            totals.notes.append(
+                "bp.triggered has no effect on VarDis: it composes just before a beacon (reading X54), so no new "
+                "payload brings the beacon forward"
+            )
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
         shares["missed"] = medium.missed
@@ -320,12 +335,12 @@ class Simulation:
             nodes=scenario.nodes,
             profile=scenario.profile,
             seed=scenario.seed,
-            duration_s=scenario.duration_s,
+            duration_s=self.network.now / NS_PER_S,
             provenance=Provenance.of(scenario, self.codec),
             findings=findings,
             convergences=self.clock.events,
             traffic=traffic,
-            values=self.measurements.values.totals(),
+            values=totals,
             delays=self.measurements.values.rows(),
             consistency=self.measurements.consistency.found(self.network.now),
             shares={name: number / total for name, number in shares.items() if number or name == "delivered"},

@@ -27,6 +27,10 @@ from .common import (
 @click.argument("mutants", nargs=-1)
 @profile_option
 @seed_option
+@click.option(
+    "--period", "periods", type=click.IntRange(min=1), multiple=True, metavar="MS",
+    help="Start the nodes on a virtual Ethernet with this beacon period, instead of virtual time; can be repeated.",
+)  # fmt: skip
 @jobs_option
 @report_option
 @verbose_option
@@ -35,6 +39,7 @@ def command(
     mutants: tuple[str, ...],
     profile: tuple[str, ...],
     seed: int,
+    periods: tuple[int, ...],
     jobs: int | None,
     report_dir: Path | None,
     *,
@@ -54,13 +59,15 @@ def command(
         task = progress.add_task("mutants", total=None)
 
         def done(comparison: Comparison) -> None:
-            progress.update(task, advance=1, description=f"{comparison.mutant} {comparison.profile}")
+            over = f" {comparison.period} ms" if comparison.period else ""
+            progress.update(task, advance=1, description=f"{comparison.mutant} {comparison.profile}{over}")
 
         result = compare_all(
             chosen(mutants),
             profiles=profile,
             jobs=jobs,
             seed=seed,
+            periods=periods,
             on_start=lambda total: progress.update(task, total=total),
             on_result=done,
         )

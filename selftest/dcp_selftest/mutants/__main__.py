@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from pathlib import Path
 from typing import Any
 
 import click
@@ -23,8 +24,11 @@ from .mutant import Mutant, all_mutants
 @click.option("-p", "--profile", metavar="NAME|FILE", help="[default: the newest in which the mutant is a fault]")
 @click.option("--control", metavar="PATH")
 @click.option("--beacon-period", type=int, metavar="MS")
-def command(mutant: str, **flags: Any) -> None:
+@click.option("--config", type=click.Path(path_type=Path), metavar="FILE")
+@click.option("--log-level", metavar="LEVEL")
+def command(mutant: str, config: Path | None, log_level: str | None, **flags: Any) -> None:
     """Run a MUTANT (M-...) of our node until SIGTERM; options are those of dcp-node run."""
+    del log_level
     known = all_mutants()
     if mutant not in known:
         raise click.UsageError(f"there is no mutant {mutant!r}; see dcp-selftest mutants --list")
@@ -37,7 +41,7 @@ def command(mutant: str, **flags: Any) -> None:
         return made
 
     try:
-        with open_node(load_settings(None, flags), make) as driver:
+        with open_node(load_settings(config, flags), make) as driver:
             driver.run(lambda: None)
     except (NodeError, SettingsError) as error:
         raise click.ClickException(str(error)) from None

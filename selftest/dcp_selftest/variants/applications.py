@@ -87,6 +87,12 @@ class Sensor(_Periodic):
             vardis.create(_VARIABLE, None, self.repetitions, b"load", value, now=now, wall=wall)
 
 
+class FastSensor(Sensor):
+    """Updates its variable in each beacon period."""
+
+    period_ms = 103
+
+
 class Chatter(_Periodic):
     """A client of BP that submits a payload three times a second."""
 
@@ -151,6 +157,13 @@ _SUMMARISED = (
 #: The reports and payloads of the application delay the VarCreates that would fill the payloads.
 _NOT_FULL = r"^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case needs: room for a VarReqUpdate$"
 
+#: The variable of the application is in nearly every payload, and its records take room.
+_FULL = (
+    r"^TC_VD_PAY_(BV_07-updates|BV_10-update-requests)(-less)?: payloads with the records of this case only"
+    r"|^TC_VD_(ROOM_BV_03|SCR_TI_15): .*which this case needs"
+    r"|^TC_BP_TX_BV_01-(one-octet|a-header): a beacon with room for exactly these payloads"
+)
+
 VARIANTS = (
     Variant("V-APP-reports-10Hz", "has an application that submits safety data at 10 Hz", _SRP_WHY, _running(Pilot),
         where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
@@ -169,6 +182,12 @@ VARIANTS = (
     ),
     Variant("V-APP-variable", "has an application that updates a variable once a second", _VD_WHY, _running(Sensor),
         where=_one_octet_ids, explains=(_NO_PAUSE, _SUMMARISED)),
+    Variant("V-APP-variable-10Hz", "has an application that updates a variable ten times a second", _VD_WHY,
+        _running(FastSensor), where=_one_octet_ids, explains=(_NO_PAUSE, _SUMMARISED, _FULL)),
+    Variant("V-APP-variable-10Hz-untold",
+        "has an application that updates a variable ten times a second, which the PIXIT does not mention", _VD_WHY,
+        lambda profile: setup(profile, application=FastSensor), where=_one_octet_ids,
+        explains=(_NO_PAUSE, _SUMMARISED, _FULL)),
     Variant("V-APP-client", "has a client of BP that submits a payload three times a second", _BP_WHY,
         _running(Chatter), explains=(_NO_PAUSE,)),
     Variant("V-APP-every-beacon", "has a client of BP with a payload in every beacon", _BP_WHY, _running(Beacon),

@@ -41,7 +41,7 @@ def _set_back(now: int) -> int:
 #: The clock tolerance that steps of two hours need, in ms.
 _TWO_HOURS_MS: Final = 7_300_000.0
 #: The clock was set between two readings.
-_SET: Final = r"^TC_BP_PTI_TI_01: a clock that is not set during the case"
+_SET: Final = r"^TC_BP_PTI_TI_0[12]: a clock that is not set during the case"
 
 VARIANTS = (
     Variant("V-CLOCK-fast", "has a clock that gains 200 ppm", _WHY, _clock(lambda now: now // 5000)),

@@ -9,6 +9,8 @@ from typing import Final, Literal
 
 import msgspec
 
+from dcp_spec.constants import SpecVersion
+
 from .entries import Catalogue, UnknownEntryError
 
 
@@ -38,6 +40,10 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     why: str
     implementations: str | None = None
     """The behaviour of known implementations, where it is known."""
+    since: SpecVersion = SpecVersion.V1_0
+    """The first version with the hazard."""
+    until: SpecVersion | None = None
+    """The last version with the hazard, None if the latest draft has it."""
     alternatives: tuple[Alternative, ...] = ()
     """Empty where only one reading can be defended; otherwise ours first."""
 

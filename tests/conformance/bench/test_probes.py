@@ -111,7 +111,7 @@ def test_the_link_is_up_again_however_the_block_ends():
     states: list[bool] = []
     parts.run.switch_link = states.append
     with pytest.raises(StopCase), parts.control.link_down():
-        parts.verdicts.fail("something", "nothing")
+        parts.verdicts.inconclusive("something", "nothing")
     assert states == [False, True]
     assert parts.run.log == ["interrupted", "interrupted"]
 

@@ -88,7 +88,7 @@ def test_a_service_that_is_only_needed_is_inconclusive_when_it_fails():
 def test_an_entity_is_activated_again_however_the_block_ends():
     parts, upper = parts_with()
     with pytest.raises(StopCase), parts.services.deactivated("BP"):
-        parts.verdicts.fail("something", "nothing")
+        parts.verdicts.inconclusive("something", "nothing")
     assert [method for method, _ in upper.calls] == ["BP-MGMT-Deactivate", "BP-MGMT-Activate"]
     assert parts.changes.due() == []
 

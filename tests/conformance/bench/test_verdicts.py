@@ -28,23 +28,16 @@ def test_a_check_decides_the_named_requirements_or_those_of_the_case():
     verdicts = Parts(requirements=("BP-RX-07", "BP-RX-08")).verdicts
     verdicts.check(True, "of the case")
     verdicts.check(True, "its own", "", "BP-TX-01")
-    assert [each.requirements for each in verdicts.checks] == [("BP-RX-07", "BP-RX-08"), ("BP-TX-01",)]
+    verdicts.check(True, "several", "", "BP-TX-01 BP-TX-03", "BP-TX-04")
+    assert [each.requirements for each in verdicts.checks] == [
+        ("BP-RX-07", "BP-RX-08"), ("BP-TX-01",), ("BP-TX-01", "BP-TX-03", "BP-TX-04"),
+    ]  # fmt: skip
 
 
 def test_the_observation_of_a_check_that_holds_is_not_kept():
     verdicts = Parts().verdicts
     verdicts.check(True, "expected", "observed", shown=True)
     assert (verdicts.checks[0].observed, verdicts.checks[0].shown) == ("", False)
-
-
-def test_require_and_fail_stop_the_case():
-    verdicts = Parts().verdicts
-    verdicts.require(True, "holds")
-    with pytest.raises(StopCase):
-        verdicts.require(False, "holds", "fails")
-    with pytest.raises(StopCase):
-        verdicts.fail("something", "nothing")
-    assert [each.verdict for each in verdicts.checks] == [Verdict.PASS, Verdict.FAIL, Verdict.FAIL]
 
 
 def test_an_inconclusive_case_names_its_assumptions():

@@ -85,13 +85,13 @@ def says(word: bytes, *, expect: bool = True) -> Callable[[Bench], None]:
         summary = peer.summary(bench.unknown_id(), 1)
         peer.send(summary, padding=WORD + word)
         if expect:
-            bench.check(bench.beacons(1), "a beacon", "none")
+            bench.verdicts.check(bench.beacons(1), "a beacon", "none")
 
     return body
 
 
 def asks(bench: Bench) -> None:
-    bench.check(bench.probes.probe(), "an answer", "none")
+    bench.verdicts.check(bench.probes.probe(), "an answer", "none")
 
 
 def runner_of(sut: InProcess, *, upper: bool = False, pics: Pics | None = None, can_restart: bool = True) -> Runner:
@@ -144,7 +144,7 @@ def test_a_passing_case_followed_by_silence_is_examined():
 
     def expects_silence(bench: Bench) -> None:
         body(bench)
-        bench.check(not bench.beacons(3, 3), "no beacon", "one")
+        bench.verdicts.check(not bench.beacons(3, 3), "no beacon", "one")
 
     found = results_of(runner, dataclasses.replace(silent, run=expects_silence), SECOND)
     assert found["TC_DCP_X_BV_03"].killed
@@ -177,7 +177,7 @@ def test_a_crash_that_is_not_reproduced_is_inconclusive():
 def test_checks_that_fail_because_of_a_crash_are_inconclusive():
     def body(bench: Bench) -> None:
         says(A, expect=False)(bench)
-        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
+        bench.verdicts.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     result = runner_of(Frail()).run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
@@ -273,7 +273,7 @@ def test_an_error_of_the_tester_between_cases_is_a_result():
 
 def test_a_failure_proved_by_a_received_frame_is_kept():
     def body(bench: Bench) -> None:
-        bench.check(False, "the right octets", "others", "VD-RX-03", shown=True)
+        bench.verdicts.check(False, "the right octets", "others", "VD-RX-03", shown=True)
         says(A, expect=False)(bench)
 
     result = runner_of(Frail()).run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03"))
@@ -288,7 +288,7 @@ def test_failures_of_the_case_are_kept_when_a_service_crashes_the_implementation
     def body(bench: Bench) -> None:
         bench.call("UT-Hello")
         sut.died = "RuntimeError: a service"
-        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
+        bench.verdicts.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     runner = runner_of(sut, upper=True)
     result = runner.run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
@@ -302,7 +302,7 @@ def uses_all(bench: Bench) -> None:
         peer = bench.peer()
         peer.send(peer.create(bench.unknown_id()))
         bench.wait(1)
-    bench.check(True, "60 variables")
+    bench.verdicts.check(True, "60 variables")
 
 
 @pytest.mark.parametrize(("reset", "verdict"), [("auto", Verdict.PASS), ("none", Verdict.INCONCLUSIVE)])
@@ -348,7 +348,7 @@ def test_an_internal_error_does_not_affect_later_cases():
 
     def creates(bench: Bench) -> None:
         bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
-        bench.check(True, "a variable is created")
+        bench.verdicts.check(True, "a variable is created")
 
     found = results_of(runner, case_of("TC_DCP_X_BV_10", reads), case_of("TC_DCP_X_BV_11", creates))
     assert found["TC_DCP_X_BV_11"].verdict is Verdict.PASS
@@ -381,7 +381,7 @@ def test_a_service_that_kills_fails_its_own_requirement(calls: str, requirements
     sut = Frail()
 
     def body(bench: Bench) -> None:
-        bench.check(True, "something else", "", "VD-RX-03", "BP-CLR-03")
+        bench.verdicts.check(True, "something else", "", "VD-RX-03", "BP-CLR-03")
         for method in calls.split():
             bench.call(method, protId=300, queueingMode="BP_QMODE_QUEUE_DROPTAIL")
         sut.died = "RuntimeError: a service"
@@ -503,7 +503,7 @@ def test_no_identifier_is_used_twice_between_restarts():
         peer = bench.peer()
         peer.send_all(peer.create(name) for name in names)
         bench.wait(2)
-        bench.check(True, "50 variables")
+        bench.verdicts.check(True, "50 variables")
 
     for number in range(10, 22):
         assert runner.run(case_of(f"TC_DCP_X_BV_{number}", creates)).verdict is Verdict.PASS
@@ -518,7 +518,7 @@ def test_a_crash_by_an_auxiliary_service_does_not_fail_the_requirements_of_the_c
     def body(bench: Bench) -> None:
         bench.call("BP-MGMT-Deactivate")
         sut.died = "RuntimeError: a service"
-        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
+        bench.verdicts.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     case = dataclasses.replace(case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), needs=Needs(ut=("RTDB-Update",)))
     runner = runner_of(sut, upper=True)
@@ -577,7 +577,7 @@ def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float)
 
     def body(bench: Bench) -> None:
         says(A, expect=False)(bench)
-        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
+        bench.verdicts.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     first, second = case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), dataclasses.replace(SECOND, id="TC_DCP_X_BV_06")
     found = results_of(runner, SECOND, first, second)

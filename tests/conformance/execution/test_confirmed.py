@@ -30,7 +30,7 @@ def run(late: Callable[[Bench], None], *fails: bool, shown: bool = False) -> Cas
 
     def body(bench: Bench, number: int) -> None:
         late(bench)
-        bench.check(not fails[min(number, len(fails)) - 1], "a reaction", "none", shown=shown)
+        bench.verdicts.check(not fails[min(number, len(fails)) - 1], "a reaction", "none", shown=shown)
 
     return Rig().run(body)
 
@@ -69,7 +69,7 @@ def test_a_pass_needs_no_other_execution():
 def test_another_failure_does_not_confirm_the_first():
     def body(bench: Bench, number: int) -> None:
         silent(bench)
-        bench.check(False, "a reaction", "none", "BP-RX-07" if number == 1 else "BP-RX-08")
+        bench.verdicts.check(False, "a reaction", "none", "BP-RX-07" if number == 1 else "BP-RX-08")
 
     assert Rig().run(body).verdict is Verdict.INCONCLUSIVE
 
@@ -78,7 +78,7 @@ def test_wrong_octets_before_a_frame_that_was_overtaken_must_recur():
     """The frame was received after the check; with it, the check might have held."""
 
     def body(bench: Bench, number: int) -> None:
-        bench.check(number > 1, "octets 01", "02", shown=True)
+        bench.verdicts.check(number > 1, "octets 01", "02", shown=True)
         bench.steps.waited(bench.now() + bench.period)
         bench.probes.probe()
 
@@ -93,7 +93,7 @@ def test_an_execution_that_is_undecided_shows_nothing():
         silent(bench)
         if number == 2:
             rig.be_late(bench)
-        bench.check(False, "a reaction", "none")
+        bench.verdicts.check(False, "a reaction", "none")
 
     result = rig.run(body)
     assert (result.verdict, result.executions) == (Verdict.FAIL, 2 + CONFIRMATIONS)

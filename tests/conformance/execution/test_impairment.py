@@ -11,7 +11,7 @@ from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
-from dcp_conformance.impairment import MOST_EXECUTIONS, impaired, parse_directions
+from dcp_conformance.impaired_link import MOST_EXECUTIONS, impaired, parse_directions
 from dcp_conformance.lower_tester import Impairs, Incident, LinkHealth
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Pics
@@ -71,7 +71,7 @@ def test_an_incident_excuses_only_failures_that_it_explains(
     def body(bench: Bench, number: int, lower: Scripted) -> None:
         if number == 1:
             lower.incidents = (incident,)
-        bench.check(number > 1, "a beacon", "none", **how)
+        bench.verdicts.check(number > 1, "a beacon", "none", **how)
 
     result = executed(body)
     assert result.verdict is (Verdict.PASS if excused else Verdict.FAIL)
@@ -81,7 +81,7 @@ def test_an_incident_excuses_only_failures_that_it_explains(
 def test_a_fault_is_a_fail_in_the_first_execution_in_which_the_link_did_nothing() -> None:
     def body(bench: Bench, number: int, lower: Scripted) -> None:
         lower.incidents = (LOST_STIMULUS,) if number < 3 else ()
-        bench.check(False, "a beacon", "none")
+        bench.verdicts.check(False, "a beacon", "none")
 
     result = executed(body)
     assert (result.verdict, result.executions) == (Verdict.FAIL, 3)
@@ -101,7 +101,7 @@ def test_the_reason_names_the_frame_that_was_lost() -> None:
         lower.send = send  # type: ignore[method-assign]
         peer.send(peer.create(bench.var_id()))
         del lower.send
-        bench.check(False, "an answer", "none")
+        bench.verdicts.check(False, "an answer", "none")
 
     result = executed(body)
     assert result.verdict is Verdict.INCONCLUSIVE

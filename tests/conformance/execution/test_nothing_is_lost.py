@@ -189,12 +189,12 @@ def once(*steps: Callable[[Bench], None]) -> Callable[[Bench], None]:
 
 
 def wrong_and_deadly(bench: Bench) -> None:
-    bench.check(False, "octets 01", "02", "VD-RX-03", frames=[Mark(1)], shown=True)
+    bench.verdicts.check(False, "octets 01", "02", "VD-RX-03", frames=[Mark(1)], shown=True)
     says(b"\x01")(bench)
 
 
 def right(bench: Bench) -> None:
-    bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-04")
+    bench.verdicts.check(bench.probes.probe(), "an answer", "none", "VD-RX-04")
 
 
 def test_a_proved_failure_is_kept_if_a_later_crash_is_not_reproduced():
@@ -238,8 +238,8 @@ def test_a_crash_by_the_clean_up_after_a_case_is_attributed_to_the_deletion():
 
     def creates(bench: Bench) -> None:
         answer = bench.call("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
-        bench.check(answer.ok, "it is created", str(answer), "VD-CRE-12")
-        bench.check(bench.beacons(1), "a beacon", "none")
+        bench.verdicts.check(answer.ok, "it is created", str(answer), "VD-CRE-12")
+        bench.verdicts.check(bench.beacons(1), "a beacon", "none")
 
     case = case_of("TC_DCP_X_BV_01", creates, "VD-CRE-12")
     result = runner_with(sut, CrashesOnDelete(sut)).run(case)

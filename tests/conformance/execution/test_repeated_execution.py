@@ -53,7 +53,7 @@ class Rig:
 
 
 def check(bench: Bench, holds: bool, **how: bool) -> None:
-    bench.check(holds, "a beacon", "none", **how)
+    bench.verdicts.check(holds, "a beacon", "none", **how)
 
 
 def test_a_late_tester_tries_again_and_the_last_execution_counts():
@@ -151,7 +151,7 @@ def test_a_failure_is_kept_if_a_later_execution_lacks_it():
 
     def body(bench: Bench, number: int) -> None:
         if number == 1:
-            bench.check(False, "octets 01", "02", "BP-RX-01", shown=True)
+            bench.verdicts.check(False, "octets 01", "02", "BP-RX-01", shown=True)
             rig.be_late(bench)
             check(bench, False)
         else:
@@ -166,7 +166,7 @@ def test_unobserved_checks_of_a_failed_case_are_observed_by_another_execution():
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:
-        bench.check(False, "octets 01", "02", "BP-RX-01", shown=True)
+        bench.verdicts.check(False, "octets 01", "02", "BP-RX-01", shown=True)
         if number == 1:
             rig.be_late(bench)
         check(bench, number > 1)

@@ -203,11 +203,11 @@ def after_a_change(sut: InProcess) -> tuple[Runner, list[CaseResult]]:
 
     def changes(bench: Bench) -> None:
         bench.must("VD-SetParameter", name="VARDISPAR_MAX_SUMMARIES", value=1)
-        bench.check(bench.probes.probe(), "an answer", "none")
+        bench.verdicts.check(bench.probes.probe(), "an answer", "none")
 
     def needs(bench: Bench) -> None:
         told = bench.must("VD-GetParameters").result["parameters"]["VARDISPAR_MAX_SUMMARIES"]
-        bench.check(told > 1, "the initial value", str(told))
+        bench.verdicts.check(told > 1, "the initial value", str(told))
 
     cases = [Case(f"TC_DCP_X_BV_0{number}", "", ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body)
              for number, body in enumerate((changes, needs))]  # fmt: skip

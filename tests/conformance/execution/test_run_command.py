@@ -173,7 +173,6 @@ class TestWhatIsRun:
             (["TC_NOTHING_LIKE_IT"], "no case is called 'TC_NOTHING_LIKE_IT'"),
             (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md names its replacement"),
             (["BP-HDR-1"], "did you mean BP-HDR-1"),
-            (["-r", "XX-01"], "XX-01"),
             (["-s", "no such heading"], "no section is called 'no such heading'"),
             (["-s", "dcp-wardis.md"], "did you mean dcp-vardis.md"),
             (["-x", "TC_*"], "no case is left to run"),
@@ -216,7 +215,7 @@ class TestWhatIsRun:
         assert all(line.startswith("TC_") for line in done.out.splitlines())
 
     def test_only_selected_cases_are_run(self, dcp_conformance: Command, tmp_path: Path):
-        dcp_conformance("run", "--in-process", "-r", "VD-UPD-08", "-x", ONE, "--report-dir", tmp_path)
+        dcp_conformance("run", "--in-process", "VD-UPD-08", "-x", ONE, "--report-dir", tmp_path)
         ran = {case.id for case in load_results(tmp_path).cases}
         wanted = {case.id for case in all_cases().values() if "VD-UPD-08" in case.requirements} - {ONE}
         assert ran == wanted | {SANITY}
@@ -358,7 +357,7 @@ class TestList:
         assert {each["id"] for each in entries} == set(all_cases())
 
     def test_by_requirement(self, dcp_conformance: Command):
-        done = dcp_conformance("list", "--requirements", "-r", "VD-UPD-08")
+        done = dcp_conformance("list", "--requirements", "VD-UPD-08")
         assert re.search(rf"^VD-UPD-08  .*\n(    TC_.*\n)*    {ONE}$", done.out, re.MULTILINE)
 
     def test_unknown_names(self, dcp_conformance: Command):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from collections import Counter
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from dcp_conformance.execution.concurrent import WIDTH, why_alone
 from dcp_conformance.execution.concurrent.executor import SideBySide
 from dcp_conformance.execution.concurrent.scheduler import Scheduler, Task
 from dcp_conformance.execution.concurrent.shared import SharedLink, SharedUpper
-from dcp_conformance.execution.concurrent.sharing import _MEASURES, ALONE
+from dcp_conformance.execution.concurrent.sharing import ALONE
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
@@ -25,9 +24,10 @@ from dcp_conformance.model.case import SANITY, Case, all_cases
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.test_system.control import Control
 from dcp_conformance.upper_tester import Answer
 from dcp_selftest.mutants import all_mutants
-from dcp_selftest.runner import cases
+from dcp_selftest.runner import Suite, cases
 from dcp_selftest.side_by_side import compare
 
 from dcp_codec.codec import Codec
@@ -45,6 +45,7 @@ MUTANTS = (
     "M-VD-INI-02-mode",
     "M-BP-QM-03-drophead-repeats",
     "M-VD-PD-04-summaryQ",
+    "M-BP-TX-04-hangs",
 )
 
 
@@ -94,11 +95,30 @@ def test_cases_that_do_not_pass_concurrently_are_repeated_alone() -> None:
     assert not result.side_by_side
 
 
-def test_every_rule_for_exclusive_cases_matches_some_case() -> None:
-    names = list(all_cases())
-    for pattern, reason in _MEASURES:
-        assert reason
-        assert any(re.fullmatch(pattern, name) for name in names), pattern
+@pytest.mark.part("suite")
+def test_each_case_that_depends_on_the_room_in_beacons_declares_it(monkeypatch) -> None:
+    asked: set[str] = set()
+
+    def noted(_: Control) -> None:
+        running.add("")
+
+    running: set[str] = set()
+    monkeypatch.setattr(Control, "needs_whole_beacons", noted)
+    for profile in ("dcp-2.0", "dcp-1.0"):
+        for result in Suite(profile).run(cases()):
+            if running:
+                asked.add(result.id)
+            running.clear()
+    assert len(asked) > 20
+    assert [each for each in sorted(asked) if not why_alone(all_cases()[each])] == []
+
+
+def test_a_case_that_depends_on_the_room_in_beacons_does_not_pass_beside_others(monkeypatch) -> None:
+    # Even if it does not declare that.
+    monkeypatch.setattr("dcp_conformance.execution.concurrent.executor.why_alone", lambda _: "")
+    found = run(WIDTH, "TC_BP_TX_BV_01-one-octet", "TC_VD_STATE_BV_03-*")
+    assert found.repeated_alone.keys() == {"TC_BP_TX_BV_01-one-octet"}
+    assert "take room in the beacons" in found.repeated_alone["TC_BP_TX_BV_01-one-octet"]
 
 
 def test_cases_that_change_the_whole_node_run_alone() -> None:

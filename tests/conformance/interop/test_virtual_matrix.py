@@ -18,7 +18,7 @@ from dcp_conformance.interop.definition import GRID_8, LINE_5, PAIR, all_tests, 
 from dcp_conformance.interop.implementations import BUILT_IN, built_in, load_description, virtual_setup
 from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
 from dcp_conformance.interop.nodes.virtual import VirtualWorld
-from dcp_conformance.interop.reports import load_matrix, write_reports
+from dcp_conformance.interop.reporting import load_matrix, write_reports
 from dcp_conformance.interop.results import CellResult
 from dcp_conformance.interop.scene import MS, SECOND, Scene
 from dcp_conformance.model.verdict import Verdict

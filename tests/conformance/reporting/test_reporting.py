@@ -505,14 +505,6 @@ class TestCommands:
         assert str(page) in done.out
         assert not done.err
 
-    def test_the_deprecated_name_of_out(self, dcp_conformance: Command, failed: RunResult, tmp_path: Path):
-        write_report(failed, tmp_path / "one")
-        page = tmp_path / "again.html"
-        done = dcp_conformance("report", tmp_path / "one", "--output", page)
-        assert done.status == 0
-        assert "TC_" in page.read_text()
-        assert done.err == "dcp-conformance: --output is deprecated; use --out\n"
-
     def test_runs_side_by_side(self, dcp_conformance: Command, failed: RunResult, passed: RunResult, tmp_path: Path):
         write_report(failed, tmp_path / "one")
         write_report(passed, tmp_path / "two")

@@ -22,7 +22,7 @@ from dcp_selftest.mutants import all_mutants
 
 from dcp_stack.node import Node
 
-from ..rig import codec_of, known_cases
+from ..rig import codec_of, known_cases, one_case
 
 
 class Deaf(Node):
@@ -296,9 +296,17 @@ def test_a_violation_in_received_octets_fails_despite_missing_answers():
     def both(bench: Any) -> None:
         peer = bench.peer()
         peer.send(peer.summary(bench.unknown_id(), 1))
-        bench.check(False, "an answer", "none", "BP-RX-07")
-        bench.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
+        bench.verdicts.check(False, "an answer", "none", "BP-RX-07")
+        bench.verdicts.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
 
     result = runner.run(dataclasses.replace(known_cases()["TC_BP_RX_BV_01-2"], run=both))
     assert [each.verdict for each in result.checks][:2] == [Verdict.INCONCLUSIVE, Verdict.FAIL]
     assert "did not answer a summary of an unknown variable when the run began" in result.checks[0].observed
+
+
+def test_a_loop_that_ends_at_the_length_without_the_header_is_named():
+    """An implementer who copies the pseudo-code gets the place of the misprint."""
+    found = one_case(SANITY, make=all_mutants()["M-BP-RX-07-loop-bound"].make)
+    assert found.verdict is Verdict.FAIL
+    assert [check.requirements for check in found.checks if check.verdict is Verdict.FAIL] == [("BP-RX-07",)]
+    assert "dcp-bp.md, Receive Path (index < bearerlen)" in found.reason

@@ -50,7 +50,7 @@ def rig() -> tuple[Bench, Losing, InProcess]:
 
 
 def verdict_of(bench: Bench, **how: Any) -> Verdict:
-    bench.check(False, "something", "something else", **how)
+    bench.verdicts.check(False, "something", "something else", **how)
     return bench.verdicts.checks[-1].verdict
 
 
@@ -65,12 +65,12 @@ def test_a_drop_excuses_missing_data_but_not_received_data():
     lower.dropped = 2
     assert verdict_of(bench, shown=["a record"]) is Verdict.FAIL
     with pytest.raises(StopCase):
-        bench.require(False, "something", "nothing", shown=True)
+        bench.wrong("something", "something else")
     assert bench.verdicts.checks[-1].verdict is Verdict.FAIL
     assert verdict_of(bench, shown=[]) is Verdict.INCONCLUSIVE
     assert "the kernel dropped 2 frames" in bench.verdicts.checks[-1].observed
     with pytest.raises(StopCase):
-        bench.fail("something", "nothing")
+        bench.missing("something")
     assert bench.verdicts.checks[-1].verdict is Verdict.INCONCLUSIVE
 
 

@@ -18,7 +18,7 @@ from ..control_rig import Rig
 
 ROOT = Path(__file__).parents[3]
 CONTRACT = (ROOT / "conformance" / "UPPER-TESTER.md").read_text(encoding="utf-8")
-COMMITTED = ROOT / "conformance" / "dcp_conformance" / "data" / "upper-tester.schema.json"
+COMMITTED = ROOT / "spec" / "dcp_spec" / "data" / "upper-tester.schema.json"
 EXAMPLES = re.findall(r"```jsonrpc\n(.*?)```", CONTRACT, re.DOTALL)
 SCHEMA = upper_tester_schema()
 REGISTRY = Registry().with_resource("urn:ut", DRAFT202012.create_resource(SCHEMA))

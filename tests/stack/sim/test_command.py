@@ -196,3 +196,55 @@ def test_the_default_scenario_allows_for_the_number_of_hops(run):
     # Too short for that: nothing is expected, rather than something that cannot be.
     short = json.loads(run("simulate", "-n", 60, "--topology", "line", "--duration", 8, "--json")[1])
     assert short["provenance"]["scenario"]["expect"] == []
+
+
+def test_keys_are_set_on_the_command_line(run):
+    def scenario(*settings: str) -> dict:
+        arguments = [word for each in settings for word in ("--set", each)]
+        return json.loads(run("simulate", LINE, "--json", *arguments)[1])["provenance"]["scenario"]
+
+    usual = scenario()
+    changed = scenario(
+        "link.loss=0.25", "topology=grid:2", "events.*.repetitions=3", "bp.jitter=0", "events.0.at_s=0.5"
+    )
+    assert changed["link"]["loss"] == 0.25
+    assert (changed["topology"]["kind"], changed["topology"]["columns"]) == ("grid", 2)
+    assert {each["repetitions"] for each in changed["events"] if each["do"] == "create"} == {3}
+    assert changed["bp"]["jitter"] == 0
+    assert changed["events"][0]["at_s"] == 0.5 != usual["events"][0]["at_s"]
+    assert changed["events"][1:][0]["at_s"] == usual["events"][1:][0]["at_s"]
+    default = json.loads(run("simulate", "-n", 2, "--duration", 1, "--set", "seed=7", "--json")[1])
+    assert default["seed"] == 7
+    for setting, problem in (
+        ("link.los=1", "link: unknown key `los`; did you mean loss?"),
+        ("events.99.at_s=1", "events.99.at_s: there is no such key in this scenario"),
+        ("events.*.nonsense=1", "events.*.nonsense: there is no such key in this scenario"),
+        ("link", "'link' is not KEY=VALUE"),
+        ("link.loss=much", "Expected `float`, got `str`"),
+    ):
+        status, _, errors = run("simulate", LINE, "--set", setting)
+        assert status == 2, setting
+        assert problem in errors, (setting, errors)
+
+
+def test_an_interrupted_run_reports_what_it_has_measured(run, monkeypatch):
+    from dcp_stack.sim.virtual.network import Network
+
+    usual = Network.run_until
+
+    def interrupted(self, end, **more):
+        usual(self, end // 2, **more)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Network, "run_until", interrupted)
+    status, output, _ = run("simulate", LINE)
+    assert status == 1
+    assert "NOT MET  the run reaches its end: interrupted at 12.000 s; later expectations are not judged" in output
+    assert "values     " in output
+
+
+def test_a_trigger_without_effect_is_reported(run):
+    note = "bp.triggered has no effect on VarDis"
+    settings = ("simulate", LINE, "--set", "bp.triggered=true")
+    assert note in run(*settings)[1]
+    assert note not in run(*settings, "--set", "readings.X54=after-the-beacon")[1]

@@ -77,9 +77,12 @@ def both(scenario: Scenario, looks: tuple[float, ...] = ()) -> tuple[list[object
     st.sampled_from(["full", "line"]),
     st.sampled_from(["dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0"]),
     st.booleans(),
+    st.sampled_from(
+        [{}, {"X54": "after-the-beacon", "X26": "producer-only"}, {"X17": "purge-first", "X37": "are-dropped"}]
+    ),
     st.lists(st.floats(0, 20), max_size=3),
 )
-def test_all_states_are_those_of_plain_nodes(seed, loss, shape, profile, tracked, looks):
+def test_all_states_are_those_of_plain_nodes(seed, loss, shape, profile, tracked, readings, looks):
     events = tuple(each for each in TROUBLE if not (profile == "dcp-1.0" and isinstance(each, Activate | Deactivate)))
     scenario = Scenario(
         nodes=5,
@@ -90,6 +93,7 @@ def test_all_states_are_those_of_plain_nodes(seed, loss, shape, profile, tracked
         link=LinkQuality(loss=loss, duplicate=loss / 10, jitter_ms=loss * 50),
         srp=SRPConfig(neighbour_table_timeout_ms=700),
         tracks=(Tracks(source="track:walk"),) if tracked else (),
+        readings=readings,
         events=events,
     )
     cheap, plain = both(scenario, tuple(looks))

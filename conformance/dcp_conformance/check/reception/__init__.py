@@ -2,6 +2,6 @@
 
 from .following import Kind
 from .links import Link
-from .reactions import Reception, Shortage, reception_of
+from .reactions import Proved, Reception, Shortage, reception_of
 
-__all__ = ["Kind", "Link", "Reception", "Shortage", "reception_of"]
+__all__ = ["Kind", "Link", "Proved", "Reception", "Shortage", "reception_of"]

@@ -11,6 +11,9 @@ from dcp_conformance.check.statements import Statement
 
 #: Number of beacons of a node whose times are kept: the causes of a reaction are not older.
 _TIMES = 16
+#: Reactions with the same delay that show when a node composes payloads, if they are ``MOSTLY`` times as many as those
+#: with the other delay.
+DELAYS, MOSTLY = 4, 3
 
 
 class Kind(Enum):
@@ -29,6 +32,21 @@ class Kind(Enum):
     __hash__ = object.__hash__
 
 
+class Proof(NamedTuple):
+    """Proof that a node has received a frame: it reacted to a record that only this frame, or these frames, carried.
+
+    Times are ns of :attr:`Observer.time`: the proof is void if the recorder missed a beacon of another node between
+    them.
+    """
+
+    frames: tuple[int, ...]
+    """The frames that can have caused the reaction; the node has received at least one of them."""
+    reaction: Statement
+    """The record that shows the reaction."""
+    since: int
+    until: int
+
+
 @dataclass(slots=True, eq=False)
 class Interval:
     """The records between two successive beacons of a node that call for one kind of reaction to one variable."""
@@ -45,10 +63,12 @@ class Interval:
     """Whether each of them was in the second half of its payload."""
     length: int
     """Length of the shortest VarDis payload with one of them, in octets."""
-    frame: int
-    """Number of the last frame with one of them."""
-    beacons: int = 1
-    """Number of beacons with one of them."""
+    frames: list[int]
+    """Numbers of the frames with one of them; negative for a frame with errors, which a node may ignore."""
+    cut: bool = False
+    """Whether earlier intervals, or frames, were dropped to save memory."""
+    proof: Proof | None = None
+    """Proof that the node has received a record of this interval."""
     again: dict[int, int] | None = None
     """Senders (bits) of several beacons with one of them, each with the number of its further beacons."""
 
@@ -75,6 +95,8 @@ class Station:
     """Time of its first beacon in this life, ns since 1970."""
     life: int = 0
     """Number of its restarts (:meth:`Senders.life`)."""
+    hears: int = -1
+    """The nodes that it hears according to the user, as a mask of bits; all if the user has told nothing."""
     beacons: int = 0
     """Number of its beacons with VarDis records."""
     gap: int = 0
@@ -99,10 +121,18 @@ class Station:
     """Variable that it has deleted -> the latest creation time that it can have known."""
     open: dict[int, Occasions] = field(default_factory=dict)
     """Variable -> its open occasions."""
+    delays: tuple[int, int] = (0, 0)
+    """Number of its reactions in its first, and in its second beacon after the cause."""
     cursor: int = 0
     """Number of events (of all nodes) that it has processed."""
     times: deque[int] = field(default_factory=lambda: deque(maxlen=_TIMES))
     """Times of its latest beacons, ns of :attr:`Observer.time`."""
+
+    @property
+    def composes_late(self) -> bool:
+        """Whether it composes its payloads immediately before it sends them, as its reactions show."""
+        first, second = self.delays
+        return first >= DELAYS and first >= MOSTLY * second
 
     def sent_at(self, number: int) -> int:
         """Return the time of its beacon ``number`` (from 1), ns; if that is not kept, the time of the oldest kept one.
@@ -144,6 +174,8 @@ class Event(NamedTuple):
     """Length of the VarDis payload in octets."""
     time: int
     """ns of :attr:`Observer.time`."""
+    frame: int
+    """Number of the frame; negative if it has errors."""
 
 
 class Trial(NamedTuple):
@@ -177,6 +209,8 @@ class Trial(NamedTuple):
     """Of a reaction: the earliest time at which its cause may have been sent, ns of :attr:`Observer.time`."""
     until: int = 0
     """Of a reaction: the time of the beacon with it, ns of :attr:`Observer.time`."""
+    proof: Proof | None = None
+    """Of a missing reaction: proof that the node has received the record."""
 
     @property
     def speakers(self) -> int:
@@ -209,6 +243,8 @@ class Variable:
     """The latest creation time in a create."""
     born: bool = False
     """Whether the recording shows the first creation by the producer."""
+    last_create: int = 0
+    """Number of the last frame with a create."""
     value: int = 8
     """Length of the last value, in octets."""
     create: int = 60

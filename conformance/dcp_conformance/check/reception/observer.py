@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Final
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
@@ -23,7 +24,7 @@ from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
 from .demands import Demands
-from .following import Event, Exposure, Interval, Kind, Occasions, Population, Station, Trial, Variable
+from .following import Event, Exposure, Interval, Kind, Occasions, Population, Proof, Station, Trial, Variable
 from .links import bits
 from .records import RecordSizes
 from .unrecorded import Unrecorded
@@ -57,6 +58,12 @@ _NEVER: Final[tuple[int, Sequence[Interval]]] = (-_CARRIED, ())
 _STATED = (Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ANSWER_UPDATE, Kind.TEACH, Kind.ANSWER_CREATE, Kind.TAKE_DELETE)
 #: Reactions of a node that does not hold the variable.
 _ABSENT = (Kind.TAKE_CREATE, Kind.ASK_CREATE)
+#: Reactions that prove the reception of a record (a node may delete a variable because of its timeout, too), and
+#: reactions whose absence is a fault if reception is proved.
+_PROVES = frozenset({Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ASK_CREATE})
+_PROVABLE = (Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE)
+#: Maximum number of frames of an interval that are kept.
+_FRAMES = 32
 
 
 class Observer:
@@ -131,6 +138,7 @@ class Observer:
                 self._nodes.early |= bit
             self.unrecorded.before_first(bit, missed, self.time)
             self.stations[seen.sender] = self.by_bit[bit] = station
+            self._tell_links(station)
             for variable in self.variables.values():
                 if seen.sender in variable.producers:
                     variable.produced |= bit
@@ -154,6 +162,15 @@ class Observer:
             station.gap = station.beacons + 1
         station.time = sender.time
         return station
+
+    def _tell_links(self, new: Station) -> None:
+        """Restrict the listeners, and what a new node hears, to the links that the user has told."""
+        hears = self._context.hears
+        for each in self.stations.values():
+            if hears(each.node, new.node) is False:
+                each.hears &= ~new.bit
+            if hears(new.node, each.node) is False:
+                new.hears &= ~each.bit
 
     def _forget(self, station: Station) -> None:
         """Forget the state of a node that was, or may have been, restarted."""
@@ -228,7 +245,7 @@ class Observer:
                 self._states(station, variable, each, opened)
             elif kind is DELETE:
                 if opened:
-                    self._hit(station, var_id, opened, Kind.TAKE_DELETE)
+                    self._hit(station, variable, each, opened, Kind.TAKE_DELETE)
                     station.open.pop(var_id, None)
                 if var_id in station.holds:
                     self._hold(station, variable, None)
@@ -236,7 +253,7 @@ class Observer:
                 variable.deleted |= station.bit
                 station.waiting.pop(var_id, None)
             elif opened:
-                self._hit(station, var_id, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
+                self._hit(station, variable, each, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
                 if not opened:
                     station.open.pop(var_id, None)
         for kind, _, ids in seen.parts:
@@ -255,21 +272,21 @@ class Observer:
         had = station.holds.get(var_id)
         if opened:
             if had is None:
-                self._hit(station, var_id, opened, Kind.TAKE_CREATE)
+                self._hit(station, variable, each, opened, Kind.TAKE_CREATE)
                 opened.clear()
                 station.waiting.pop(var_id, None)
             elif number != had:
                 if self.circle.newer(number, had):
-                    self._hit(station, var_id, opened, Kind.TAKE_UPDATE)
+                    self._hit(station, variable, each, opened, Kind.TAKE_UPDATE)
                 # An older number belongs to another creation: the open occasions do not apply to it.
                 opened.clear()
             if not opened:
                 pass
             elif kind is UPDATE:
-                self._hit(station, var_id, opened, Kind.ANSWER_UPDATE)
-                self._hit(station, var_id, opened, Kind.TEACH)
+                self._hit(station, variable, each, opened, Kind.ANSWER_UPDATE)
+                self._hit(station, variable, each, opened, Kind.TEACH)
             elif kind is CREATE:
-                self._hit(station, var_id, opened, Kind.ANSWER_CREATE)
+                self._hit(station, variable, each, opened, Kind.ANSWER_CREATE)
                 opened.pop(Kind.ANSWER_UPDATE, None)
                 opened.pop(Kind.TEACH, None)
             if not opened:
@@ -295,6 +312,7 @@ class Observer:
         else:
             variable.consumers |= station.bit
             variable.apart &= ~station.bit
+        variable.last_create = each.frame
         if spec.prod_id not in variable.producers:
             variable.producers.add(spec.prod_id)
             if (producer := self.stations.get(spec.prod_id)) is not None:
@@ -305,17 +323,18 @@ class Observer:
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
 
-    def _hit(self, station: Station, var_id: int, opened: Occasions, kind: Kind) -> None:
+    def _hit(self, station: Station, variable: Variable, reaction: Statement, opened: Occasions, kind: Kind) -> None:
         """Close the occasions for one kind of reaction with success, and report the trial."""
         intervals = opened.pop(kind, None)
         if not intervals:
             return
+        var_id = variable.var_id
         # The payload may have been composed one beacon earlier. Then the latest records cause the next reaction.
         key = (station.bit, var_id, kind)
         before, earlier = self._carried.pop(key, _NEVER)
         early = earlier if station.beacons - before < _CARRIED else ()
         delay = 0 if early else station.beacons - intervals[0].begin
-        once = len(intervals) == 1 and not early and intervals[0].beacons == 1
+        once = len(intervals) == 1 and not early and len(intervals[0].frames) == 1
         latest = [each for each in intervals if each.begin >= station.beacons - 1]
         at_once = speakers = _exposure(intervals)
         ahead: Exposure = ()
@@ -326,15 +345,40 @@ class Observer:
             self._carried[key] = (station.beacons, latest)
         last = intervals[-1]
         late_half, length = last.late_half, last.length
+        since = station.sent_at(min(intervals[0].begin, station.beacons - 2))
+        if delay == 1:
+            station.delays = station.delays[0] + 1, station.delays[1]
+        elif delay == 2:
+            station.delays = station.delays[0], station.delays[1] + 1
+        if kind in _PROVES:
+            causes = intervals if station.composes_late else [*early, *intervals]
+            self._prove(station, variable, reaction, causes, since)
         for each in intervals:
             late_half, length = late_half and each.late_half, min(length, each.length)
         self._outcome(
             Trial(
                 last.time, station, kind, var_id, speakers, True, last.cause, late_half, length, once,
-                delay, at_once, ahead,
-                station.sent_at(min(intervals[0].begin, station.beacons - 2)), self.time,
+                delay, at_once, ahead, since, self.time,
             )
         )  # fmt: skip
+
+    def _prove(
+        self, station: Station, variable: Variable, reaction: Statement, causes: Sequence[Interval], since: int
+    ) -> None:
+        """Mark the open occasions of a node whose records were in all frames that can have caused its reaction."""
+        if variable.produced & station.bit or any(each.cut for each in causes):
+            return
+        frames = {frame for each in causes for frame in each.frames}
+        if min(frames) < 0:
+            return
+        for opened in station.open.values():
+            for kind in _PROVABLE:
+                intervals = opened.get(kind)
+                if intervals is None or not frames.issubset(chain.from_iterable(each.frames for each in intervals)):
+                    continue
+                # The node may have received only the last one of them.
+                last = next(each for each in reversed(intervals) if not frames.isdisjoint(each.frames))
+                last.proof = last.proof or Proof(tuple(sorted(frames)), reaction, since, self.time)
 
     # -- missing reactions ---------------------------------------------------------------------------------------------
 
@@ -391,9 +435,16 @@ class Observer:
         while intervals and intervals[0].begin + LATE <= now:
             each = intervals.pop(0)
             exposure = _exposure([each])
+            proof = each.proof
+            if proof and kind is Kind.TAKE_DELETE and self.variables[var_id].last_create >= proof.frames[0]:
+                # The variable may have been created again, with the same number.
+                proof = None
             self._outcome(
-                Trial(each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length)
-            )
+                Trial(
+                    each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length,
+                    proof=proof,
+                )
+            )  # fmt: skip
         if not intervals:
             del opened[kind]
 
@@ -432,7 +483,10 @@ class Observer:
                     if statement is None:
                         statement = statement_of(kind, records[index], seen.heard, seen.sender)
                     late_half = 2 * begins[place][index] >= total
-                    self._log.append(Event(whom, due, var_id, statement, speaker.bit, late_half, total, self.time))
+                    frame = seen.number if seen.sound else -seen.number
+                    self._log.append(
+                        Event(whom, due, var_id, statement, speaker.bit, late_half, total, self.time, frame)
+                    )
         if len(self._log) > _EVENTS:
             for station in self.stations.values():
                 self._catch_up(station)
@@ -444,8 +498,9 @@ class Observer:
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
         statement, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
         waiting = station.waiting
-        for _, kind, var_id, cause, speaker, late_half, length, time in [
-            event for event in log[station.cursor - self._dropped :] if event[0] & bit
+        hears = station.hears
+        for _, kind, var_id, cause, speaker, late_half, length, time, frame in [
+            event for event in log[station.cursor - self._dropped :] if event[0] & bit and event[4] & hears
         ]:
             opened = opened_of.get(var_id)
             if opened is None and len(opened_of) >= MOST_OPEN:
@@ -459,28 +514,30 @@ class Observer:
                 opened = opened_of[var_id] = {}
             intervals = opened.get(kind)
             if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, cause.frame)]
+                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, [frame])]
                 continue
             last = intervals[-1]
             if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, cause.frame))
+                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, [frame]))
                 if len(intervals) > _OPEN:
                     intervals.pop(0)
+                    intervals[0].cut = True
                 continue
             if not late_half:
                 last.late_half = False
             if length < last.length:
                 last.length = length
-            frame = cause.frame
-            if frame != last.frame:
+            if frame != last.frames[-1]:
                 if last.speakers & speaker:
                     if last.again is None:
                         last.again = {}
                     last.again[speaker] = last.again.get(speaker, 0) + 1
                 else:
                     last.speakers |= speaker
-                last.beacons += 1
-                last.frame = frame
+                if len(last.frames) < _FRAMES:
+                    last.frames.append(frame)
+                else:
+                    last.frames[-1], last.cut = frame, True
         station.cursor = self._dropped + len(log)
 
 

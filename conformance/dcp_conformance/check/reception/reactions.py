@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_conformance.check.base import Context, Seen
+from dcp_conformance.check.statements import Statement
 
-from .following import Exposure, Kind, Station, Trial
+from .following import DELAYS, MOSTLY, Exposure, Kind, Proof, Station, Trial
 from .links import Link, bits, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
 from .tallies import UP, Gap, Tally
@@ -33,19 +34,30 @@ _LIKELY, _AS_GOOD = 1.0, 0.8
 _CHANCE = 1e-3
 #: The limit instead of ``_CHANCE`` if links fail: several missing reactions may then have one cause.
 _UNSTEADY = 1e-6
-#: Reactions with the same delay that show when a node composes payloads, if they are ``_MOSTLY`` times as many as those
-#: with the other delay.
-_DELAYS, _MOSTLY = 4, 3
 #: Reactions that prove that the record was received.
 _TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
 #: Groups of trials with at most this share of reactions are examined for a shortage.
 _SUSPICIOUS = 0.4
 #: Maximum number of links (one for each pair and window) and of groups that are kept.
 _LINKS = 100_000
+#: Minimum number of missing reactions to certainly received records for a finding, and number of kept examples.
+_PROVED, _EXAMPLES = 3, 16
 _GROUPS = 65_536
 
 Group = tuple[bytes, Kind, int | None]
 """Node, kind of reaction, and variable identifier; None for all variables."""
+
+
+@dataclass(slots=True)
+class Proved:
+    """Missing reactions of one kind at one node to records of one variable that the node has certainly received."""
+
+    station: Station
+    kind: Kind
+    var_id: int
+    times: int = 0
+    examples: list[tuple[Statement, Proof]] = field(default_factory=list)
+    """The first records without a reaction, each with the proof of its reception."""
 
 
 class Shortage(NamedTuple):
@@ -102,6 +114,7 @@ class Reception:
         self._walls = (0, 0)
         self._tallies: dict[Group, Tally] = {}
         self._worst: dict[Group, Tally] = {}
+        self._proved: dict[tuple[bytes, Kind, int], Proved] = {}
         self.shown: dict[bytes, _Shown] = {}
         self._finished = False
 
@@ -162,6 +175,8 @@ class Reception:
                 shown.late_half += trial.late_half
         groups: dict[Group, list[Trial]] = {}
         for trial in trials:
+            if trial.proof is not None:
+                self._prove(trial, trial.proof, unrecorded)
             groups.setdefault((station.node, trial.kind, None), []).append(trial)
             groups.setdefault((station.node, trial.kind, trial.var_id), []).append(trial)
         suspects: list[tuple[Group, list[Trial]]] = []
@@ -180,6 +195,17 @@ class Reception:
             for key, group in suspects:
                 self._suspect(key, group, known)
         self._infer(station, rest or [_may_be_due_to(trial, unrecorded) for trial in trials])
+
+    def _prove(self, trial: Trial, proof: Proof, unrecorded: Timeline) -> None:
+        """Keep a missing reaction to a received record, unless a beacon that the recorder missed may be the reason."""
+        if silent_senders(unrecorded, proof.since, proof.until) & trial.station.hears & ~trial.station.bit:
+            return
+        key = (trial.station.node, trial.kind, trial.var_id)
+        if key in self._proved or len(self._proved) < _GROUPS:
+            found = self._proved.setdefault(key, Proved(trial.station, trial.kind, trial.var_id))
+            found.times += 1
+            if len(found.examples) < _EXAMPLES:
+                found.examples.append((trial.cause, proof))
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
         """Infer the links to a node in this window."""
@@ -283,6 +309,14 @@ class Reception:
 
     # -- results -------------------------------------------------------------------------------------------------------
 
+    def proved(self, least: int = _PROVED) -> list[Proved]:
+        """Return the missing reactions to certainly received records, the most frequent first.
+
+        ``least``: minimum number of times. A delete is sent a few times only, so that a single one counts.
+        """
+        enough = (each for each in self._proved.values() if each.times >= (each.kind is Kind.TAKE_DELETE or least))
+        return sorted(enough, key=lambda each: -each.times)
+
     def shortages(self) -> list[Shortage]:
         """Return the missing reactions, the least probable first.
 
@@ -333,11 +367,11 @@ def _by_delay(trials: list[Trial]) -> list[Trial]:
     """
     first = sum(trial.delay == 1 for trial in trials if trial.hit)
     second = sum(trial.delay == 2 for trial in trials if trial.hit)
-    if max(first, second) < _DELAYS:
+    if max(first, second) < DELAYS:
         return trials
-    if first >= _MOSTLY * second:
+    if first >= MOSTLY * second:
         return [_due_to(trial, trial.at_once) for trial in trials]
-    if second >= _MOSTLY * first:
+    if second >= MOSTLY * first:
         return [_due_to(trial, trial.ahead) for trial in trials]
     return trials
 

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.counter import Counter
-from dcp_conformance.check.reception import Kind, Shortage, reception_of
+from dcp_conformance.check.reception import Kind, Proved, Shortage, reception_of
+from dcp_conformance.check.reception.following import Station
 from dcp_conformance.check.reception.links import summary
+from dcp_conformance.check.statements import Statement
 from dcp_conformance.model.verdict import Verdict
 
 __all__ = ["RULES", "Counter"]
@@ -21,6 +24,8 @@ __all__ = ["RULES", "Counter"]
 _ALONE, _SHARE = 2, 0.1
 #: The absence of a link is proved by at least ``_TRIALS`` trials with a share of at most ``_SOME``.
 _SOME, _TRIALS = 0.02, 20
+#: Number of records without a reaction that a finding cites.
+_CITED = 3
 
 
 class ReceptionLinks(Invariant):
@@ -59,9 +64,14 @@ class ReceptionLinks(Invariant):
                     self.exercised()
                     until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
                     shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")
+            told = [name(each.node) for each in nodes if self.context.hears(listener.node, each.node)]
+            if told:
+                unknown = [each for each in unknown if each in told]
             text = f"{name(listener.node)} hears {', '.join(shown) or 'no node for certain'}"
             if unknown:
                 text += f"; too little evidence for {', '.join(unknown)}"
+            if told:
+                text += f"; told: {', '.join(told)}"
             self.violated(text, [], expected="links between nodes, as reactions show", verdict=Verdict.INFO)
 
 
@@ -81,9 +91,16 @@ class _Reaction(Invariant):
         for shown in reception.shown.values():
             for kind in self.kinds:
                 self._of_all += shown.hits.get(kind, 0)
+        certain = set()
         for each in reception.shortages():
             if each.kind in self.kinds:
                 self._report_missing(each)
+                if each.certain:
+                    certain |= {(each.station.node, each.var_id), each.station.node if each.var_id is None else None}
+        for proved in reception.proved():
+            node = proved.station.node
+            if proved.kind in self.kinds and node not in certain and (node, proved.var_id) not in certain:
+                self._report_proved(proved)
 
     def _report_missing(self, each: Shortage) -> None:
         """Report missing reactions; verdict info if they may exceed the node's limits, inconclusive if uncertain."""
@@ -99,7 +116,7 @@ class _Reaction(Invariant):
                 tuple(dict.fromkeys(self.by_cause.get(statement.kind, rules[0]) for statement in tally.examples))
                 or rules
             )
-        limit = self._limit(each)
+        limit = self._limit(each.station, tally.examples)
         if not each.certain:
             text += ", which unstable links could explain"
             self.violated(text, tally.examples, *rules, verdict=Verdict.INCONCLUSIVE)
@@ -112,6 +129,26 @@ class _Reaction(Invariant):
             self.exercised(*rules, times=tally.all_trials)
             self.violated(text, tally.examples, *rules)
 
+    def _report_proved(self, each: Proved) -> None:
+        """Report missing reactions to records that the node has certainly received."""
+        causes = [cause for cause, _ in each.examples[:_CITED]]
+        cause, proof = each.examples[0]
+        times = "" if each.times == 1 else f" {each.times} times, first"
+        only = str(proof.frames[0]) if len(proof.frames) == 1 else "one of " + ", ".join(map(str, proof.frames))
+        reaction = proof.reaction
+        text = (
+            f"{name(each.station.node)}, variable {each.var_id}: no reaction{times} to {cause.kind.label} of frame "
+            f"{cause.frame}; it has received frame {only}: its {reaction.kind.label} of variable {reaction.var_id} in "
+            f"frame {reaction.frame} has no other reason"
+        )
+        if limit := self._limit(each.station, causes):
+            text += f"; {limit}, which a node may ignore"
+            self.violated(text, causes, verdict=Verdict.INFO, expected=f"{self.expect}, within limits")
+            return
+        self.exercised(times=each.times)
+        rules = tuple(dict.fromkeys(self.by_cause.get(each.kind, self.requirements[0]) for each in causes))
+        self.violated(text, [reaction, *causes], *(rules if self.by_cause else self.requirements))
+
     def _speakers(self, each: Shortage) -> str:
         """Return the clause that names the speakers to whose other records the node reacts; empty if there are none."""
         if not each.speakers:
@@ -119,12 +156,12 @@ class _Reaction(Invariant):
         who = ", ".join(name(node) for node in each.speakers)
         return f", while it reacts to other records of {who}"
 
-    def _limit(self, each: Shortage) -> str:
+    def _limit(self, station: Station, causes: Sequence[Statement]) -> str:
         """Return how the missed records exceed everything that the node has sent; empty if they do not.
 
         A node may ignore records that exceed its limits.
         """
-        del each
+        del station, causes
         return ""
 
     def _reason(self, each: Shortage) -> str:
@@ -143,9 +180,8 @@ class _Reaction(Invariant):
 class _Taking(_Reaction):
     """Base of rules for records that may exceed a node's limits."""
 
-    def _limit(self, each: Shortage) -> str:
+    def _limit(self, station: Station, causes: Sequence[Statement]) -> str:
         """Compare the missed records with the largest ones that the node has sent."""
-        station, causes = each.station, each.tally.examples
         for cause in causes:
             above = ""
             if cause.kind is ICType.CREATE_VARIABLES:

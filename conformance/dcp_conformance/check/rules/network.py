@@ -7,12 +7,13 @@ H8).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from dcp_spec.constants import ICType
 
-from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, Stamp, name
+from dcp_codec.analysis.lag import lags
+from dcp_codec.analysis.ledger import Entry
+from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.reception import reception_of
 from dcp_conformance.check.statements import (
     ASK_CREATE,
@@ -25,6 +26,7 @@ from dcp_conformance.check.statements import (
     statement_of,
 )
 from dcp_conformance.model.circular import Circle
+from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
 from .vardis import seqno_of
@@ -196,17 +198,9 @@ class Backed(Invariant):
         self._of_all += sum(each.backed for known in self._known.values() for each in known.values())
 
 
-@dataclass(slots=True)
-class _Held:
-    """The number of a variable that a node states."""
-
-    number: int
-    since: int
-    """Time of the first record with it, ns since 1970."""
-    statement: Statement
-    """The first record with it."""
-    last: int = 0
-    """Time of a later record with it, ns since 1970; repeated summaries are kept in the context."""
+def _mark(entry: Entry) -> Mark:
+    """Return the place of the first record with a state."""
+    return Mark(entry.frame, path=f"{entry.kind.label} {entry.var_id}")
 
 
 class Agreement(Invariant):
@@ -218,90 +212,34 @@ class Agreement(Invariant):
     requirements = ("VD-PU-07", "VD-PU-06")
     expect = "the number of the producer at all nodes within three seconds"
 
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._circle = Circle(context.profile.types.var_seqno.width)
-        self._held: dict[int, dict[bytes, _Held]] = {}
-        """Variable -> node -> number that the node states."""
-        self._producers: dict[int, bytes] = {}
-        """Variable -> node that sent a create with itself as the producer last."""
-        self._size = 0
-        """Number of entries in ``_held``."""
-        context.on_gap.append(self._remember)
-
-    def feed(self, seen: Seen) -> None:
-        """Store the numbers; when a producer changes a number, compare the other nodes with the previous one."""
-        sender, time = seen.sender, seen.time
-        for each, _ in seen.news:
-            kind, var_id = each.kind, each.var_id
-            if kind is CREATE and each.record.spec.prod_id == sender:
-                self._producers[var_id] = sender
-            elif kind is DELETE and var_id in self._held:
-                self._held[var_id].pop(sender, None)
-            if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
-                continue
-            number = each.number
-            holders = self._held.get(var_id)
-            if holders is None:
-                holders = self._held[var_id] = {}
-            held = holders.get(sender)
-            if held is None:
-                if self._size < MOST_VARIABLES:
-                    self._size += 1
-                    holders[sender] = _Held(number, time, each, time)
-                continue
-            if held.number == number:
-                held.last = time
-                continue
-            if self._producers.get(var_id) == sender:
-                self._compare(var_id, sender, held, time)
-            held.number, held.since, held.statement, held.last = number, time, each, time
-
-    def _remember(self, node: bytes, again: Mapping[int, Stamp]) -> None:
-        """Store the times of a node's last summaries before the context forgets them."""
-        for var_id, (_, time) in again.items():
-            held = self._held.get(var_id, {}).get(node)
-            if held is not None:
-                held.last = time
-
-    def _last(self, node: bytes, var_id: int, held: _Held) -> int:
-        """Return the time of a node's last record with its number, in ns since 1970."""
-        again = self.context.repeated_by_summary(node, var_id)
-        return held.last if again is None else again[1]
-
-    def _compare(self, var_id: int, producer: bytes, own: _Held, now: int) -> None:
-        """Report nodes that kept another number for at least three seconds while the producer's did not change.
-
-        ``own``: number of the producer. ``now``: end of its validity, ns since 1970.
-        """
-        if now - own.since < _STABLE:
-            return
-        for node, held in self._held[var_id].items():
-            if node == producer or (last := self._last(node, var_id, held)) < own.since + _STABLE:
-                continue
-            self.exercised()
-            if held.number == own.number:
-                continue
-            seconds = (last - max(own.since, held.since)) / 1e9
-            if seconds < _STABLE / 1e9:
-                continue
-            text = (
-                f"{name(node)} keeps {held.number} of variable {var_id} for {seconds:.1f} s, "
-                f"while its producer {name(producer)} has {own.number}"
-            )
-            if self._circle.newer(held.number, own.number):
-                what = "a stale value that looks newer than that of the producer (H8)"
-            else:
-                what = "a value of the producer that does not reach a node"
-            key = (node, var_id, what)
-            self.violated(text, [own.statement, held.statement], expected=what, verdict=Verdict.INFO, once=key)
-
     def finish(self) -> None:
-        """Compare the last numbers in the recording."""
-        for var_id, producer in self._producers.items():
-            own = self._held.get(var_id, {}).get(producer)
-            if own is not None:
-                self._compare(var_id, producer, own, self._last(producer, var_id, own))
+        """Count the states of nodes, and report those that a node keeps after the producer has left them."""
+        circle = Circle(self.context.profile.types.var_seqno.width)
+        ledger = self.context.ledger
+        entries = ledger.entries()
+        self.exercised(times=sum(each.number >= 0 for each in entries))
+        for each in lags(entries, ledger.producers):
+            held, newest = each.held, each.newest
+            if each.age < _STABLE:
+                continue
+            what = "a value of the producer that does not reach a node"
+            if circle.newer(held.number, newest.number):
+                what = "a stale value that looks newer than that of the producer (H8)"
+            elif not each.numbers:
+                what = "a deletion by the producer that a node does not follow"
+            its = []
+            if each.numbers:
+                its.append(f"has {newest.number}, {each.numbers} number{'' if each.numbers == 1 else 's'} later")
+            if each.deleted:
+                its.append("has deleted it")
+            text = (
+                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {each.age / 1e9:.1f} s after its "
+                f"producer {name(newest.node)} has changed it; by then the producer {', and '.join(its)}"
+            )
+            if held.asked:
+                text += f"; the node requests the update {held.asked} times"
+            key = (held.node, held.var_id, what)
+            self.violated(text, [_mark(each.left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
 
 
 @dataclass(slots=True)
@@ -423,6 +361,10 @@ class EndlessRequests(Invariant):
                 self._answered(each, seen, ASK_UPDATE)
             elif kind is DELETE:
                 for asks in (ASK_CREATE, ASK_UPDATE):
+                    # A deletion does not answer the requests.
+                    asked = self._asked.get((seen.sender, each.var_id, asks))
+                    if asked is not None and asked.count >= _OFTEN:
+                        self._report(seen.sender, each.var_id, asks, asked, "up to the deletion")
                     self._ends(seen.sender, each.var_id, asks)
 
     def _answered(self, each: Statement, seen: Seen, asks: ICType) -> None:
@@ -445,20 +387,24 @@ class EndlessRequests(Invariant):
             self.exercised()
 
     def finish(self) -> None:
-        """Report the requests that have not ended, with the likely reason."""
+        """Report the requests that have not ended."""
         for (node, var_id, asks), asked in self._asked.items():
-            if asked.count < _OFTEN:
-                continue
-            what = "create" if asks is ICType.REQUEST_VARCREATES else "update"
-            text = f"{name(node)} requests the {what} of variable {var_id} {asked.count} times, up to the end"
-            if asked.answers < _ANSWERED or asked.answer is None:
-                text += f"; it was sent {asked.answers} times since the first request"
-                frames = [asked.first]
-            else:
-                who = ", ".join(sorted(map(name, asked.by)))
-                text += f"; {who} sent it {asked.answers} times{self._reason(node, asked.answer)}"
-                frames = [asked.first, asked.answer]
-            self.violated(text, frames, expected="requests that do not end", verdict=Verdict.INFO)
+            if asked.count >= _OFTEN:
+                self._report(node, var_id, asks, asked, "up to the end")
+
+    def _report(self, node: bytes, var_id: int, asks: ICType, asked: _Asked, until: str) -> None:
+        """Report requests with the likely reason why they do not end."""
+        what = "create" if asks is ICType.REQUEST_VARCREATES else "update"
+        text = f"{name(node)} requests the {what} of variable {var_id} {asked.count} times, {until}"
+        if asked.answers < _ANSWERED or asked.answer is None:
+            text += f"; it was sent {asked.answers} times since the first request"
+            frames = [asked.first]
+        else:
+            who = ", ".join(sorted(map(name, asked.by)))
+            text += f"; {who} sent it {asked.answers} times{self._reason(node, asked.answer)}"
+            frames = [asked.first, asked.answer]
+        once = (node, var_id, asks)
+        self.violated(text, frames, expected="requests that do not end", verdict=Verdict.INFO, once=once)
 
     def _reason(self, node: bytes, answer: Statement) -> str:
         """Return the likely reason why a node does not store the answer, mostly that it exceeds the node's limits."""

@@ -23,7 +23,7 @@ from dcp_conformance.test_system.bench import Bench
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
-from .sharing import at_short_period, family, group, why_alone
+from .sharing import at_short_period, group, why_alone
 from .short_period import ShortPeriod
 
 #: Default of the maximum number of concurrent cases.
@@ -68,7 +68,7 @@ def execute(
         try:
             _together(executor, quick, on_result)
             for case in quick:
-                repeated = case.id in executor.reasons or (why_alone(case) and not family(case))
+                repeated = case.id in executor.reasons or why_alone(case)
                 if repeated and runner.session.short_period is short:
                     result = runner.attempt(case)
                     if result is not None:
@@ -87,8 +87,8 @@ def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[
     """Execute the cases side by side that allow it, one family after another."""
     families: dict[str, list[Case]] = {}
     for case in cases:
-        if family(case) or not why_alone(case):
-            families.setdefault(family(case), []).append(case)
+        if not why_alone(case):
+            families.setdefault(case.family, []).append(case)
     for each in families.values():
         executor.run(each, on_result)
         executor.run_again(on_result)

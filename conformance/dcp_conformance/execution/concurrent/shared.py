@@ -104,12 +104,16 @@ class SharedUpper:
 
 
 class SharedSession(Session):
-    """The session of a task. Attributes except link, upper tester and call times are shared with all tasks."""
+    """The session of a task. All tasks share the attributes except link, upper tester, ``beside`` and call times."""
 
     def __init__(self, base: Session, link: SharedLink, upper: SharedUpper | None) -> None:
         """Share the attributes of ``base``; later assignments to attributes change ``base``."""
         vars(self).update(
-            lower=link, upper=upper, _base=base, call_times=deque(base.call_times, base.call_times.maxlen)
+            lower=link,
+            upper=upper,
+            beside=True,
+            _base=base,
+            call_times=deque(base.call_times, base.call_times.maxlen),
         )
 
     def __getattr__(self, name: str) -> Any:

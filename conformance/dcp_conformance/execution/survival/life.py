@@ -81,6 +81,8 @@ class Loss:
         print in any order.
         """
         ending, separator, words = self.cause.partition(_OUTPUT)
+        if "Sanitizer: " in ending or ": runtime error: " in ending:
+            return f"{self.how}: {ending}"
         lines = words.split(_LINES)
         telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
         cause = f"{ending}{separator}{telling}" or self.observed

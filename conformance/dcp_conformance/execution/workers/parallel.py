@@ -86,7 +86,7 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
     """Return the selection of one worker: its share of the cases, with or without the sanity case."""
-    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,), first=run.first)
+    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
 
 
 def messages(connections: dict[Connection, Worker]) -> Iterator[Any]:

@@ -205,7 +205,7 @@ class Comparison:
             for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")
         }
         fresh = bench.now() - round(bench.sut.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * 1_000_000 * _FRESH)
-        most = bench.profile.limits.max_neighbours
+        most = bench.sut.capacity("neighbours")
         for node_id, time in self._reports.items():
             # An identifier that is text may be in the answer as text, or as octets.
             name = node_id.hex(":")

@@ -40,6 +40,8 @@ class SavedStep(msgspec.Struct, frozen=True, omit_defaults=True):
     call: str | None = None
     params: dict[str, Any] = {}
     wait: float | None = None
+    model: dict[str, Any] = {}
+    """A step of ``dcp_conformance.stateful``, of an artefact of ``fuzz model``."""
 
 
 class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -56,7 +58,7 @@ class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
 class SavedTarget(msgspec.Struct, frozen=True, omit_defaults=True):
     """The target: the mode of the command, and the options to use the same target again."""
 
-    mode: Literal["codec", "stack", "live", "differential"]
+    mode: Literal["codec", "stack", "live", "differential", "model"]
     name: str = ""
     mutant: str = ""
     options: str = ""
@@ -86,7 +88,9 @@ class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
     """The probable cause; None in older files, and for functions in process."""
 
     def as_steps(self) -> list[Step]:
-        """Return the steps. Raises :class:`UsageError` for an invalid step."""
+        """Return the steps, none for an artefact of a model. Raises :class:`UsageError` for an invalid step."""
+        if self.target.mode == "model":
+            return []
         return [_step(saved, f"step {number}") for number, saved in enumerate(self.steps)]
 
     @property
@@ -139,6 +143,8 @@ def save(artefact: Artefact, directory: Path) -> Path:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         path.write_bytes(msgspec.json.format(msgspec.json.encode(artefact), indent=2) + b"\n")
+        if artefact.target.mode == "model":
+            return path
         if artefact.target.mode != "codec" or all(step.note in ("", "beacon") for step in artefact.steps):
             save_frames(artefact, directory / f"{artefact.id}.mcap")
     except (OSError, CaptureError) as error:

@@ -15,9 +15,11 @@ from dcp_conformance.fuzz.execute.liveness import PROBES, lifelessness
 from dcp_conformance.fuzz.reduce.causes import decided_by
 from dcp_conformance.fuzz.steps import ROBUSTNESS, STOPPED
 from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.stateful.judged import judge
 from dcp_conformance.test_system.bench import Bench
 
 from .artefact import Artefact, found_in, load
+from .counterexample import steps_of
 
 BASE = "TC_DCP_FUZZ_BI_01"
 
@@ -30,6 +32,7 @@ def artefact_cases(folder: Path) -> list[Case]:
 
 def case_of(artefact: Artefact, path: Path, folder: Path) -> Case:
     """Return the case of one artefact in a folder. Its implicit requirement is that the implementation survives."""
+    modelled = steps_of(artefact)
     stops = artefact.effect.kind in STOPPED
     return Case(
         id=f"{BASE}-{artefact.id}",
@@ -37,7 +40,8 @@ def case_of(artefact: Artefact, path: Path, folder: Path) -> Case:
         # Older artefacts of a crash name no requirement.
         requirements=artefact.effect.requirements or ROBUSTNESS,
         kind=Kind.INVALID,
-        stimulus=f"the {len(artefact.steps)} steps of {path.name}, {artefact.frames} of them frames",
+        stimulus=f"the {len(artefact.steps)} steps of {path.name}"
+        + ("" if modelled else f", {artefact.frames} of them frames"),
         expect="the implementation lives, answers, and holds what the model holds",
         window=4,
         section="Fuzzing: findings of earlier campaigns",
@@ -55,14 +59,17 @@ def run(artefact: Artefact, bench: Bench) -> None:
         bench.inconclusive(
             f"the profile of the artefact, {artefact.profile}", f"the implementation speaks {bench.profile.name}"
         )
+    if steps := steps_of(artefact):
+        judge(bench, steps, alone=True)
+        return
     if (why := lifelessness(bench, None)) is not None:
         bench.inconclusive("a healthy implementation before anything is sent", why.detail)
     state = artefact.effect.kind in ("state", "said", "disagrees")
     comparison = Comparison(bench, observer_of(bench)) if state else None
     effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES, comparison)
     if effect is None:
-        bench.check(True, "nothing is wrong after these steps", "", *artefact.effect.requirements)
+        bench.passed("nothing is wrong after these steps", *artefact.effect.requirements)
         return
     # The artefact names the requirements of its own effect; another effect is decided by its own signature.
     known = effect.signature == artefact.effect.signature and artefact.effect.requirements
-    bench.check(False, "nothing is wrong after these steps", effect.detail, *(known or decided_by(effect)))
+    bench.some(False, "nothing is wrong after these steps", *(known or decided_by(effect)), seen=effect.detail)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from dcp_conformance.model.results import CaseResult, Check
@@ -22,8 +22,6 @@ class Step(NamedTuple):
     """Offset of the bearer payload (the BP packet) in the frame, in octets."""
     text: str
     """For a call: the service and its parameters; empty for a frame."""
-    frame: int = 0
-    """For a frame: its index among all frames that the tester sent in the case, from 0."""
 
 
 def stimulus(case: CaseResult, check: Check) -> list[Step]:
@@ -39,23 +37,12 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
     # A frame cited by a check is recorded before the finding about it.
     end = max(last, min(failed, len(events))) if seen else failed
     found: list[Step] = []
-    sent = 0
     for event in events[: end + 1]:
         octets = _octets(event.octets) if event.direction == "sent" else b""
         if octets or event.direction == "call":
-            found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text, sent))
-        sent += event.direction == "sent"
-    return _from_zero(found)
-
-
-def only(steps: Sequence[Step], frames: Collection[int]) -> list[Step]:
-    """Return all calls, and those frames whose indices are given."""
-    return _from_zero([step for step in steps if not step.octets or step.frame in frames])
-
-
-def _from_zero(steps: list[Step]) -> list[Step]:
-    begin = steps[0].time if steps else 0.0
-    return [step._replace(time=step.time - begin) for step in steps]
+            found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text))
+    begin = found[0].time if found else 0.0
+    return [step._replace(time=step.time - begin) for step in found]
 
 
 def needs_calls(steps: Sequence[Step]) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import textwrap
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +20,17 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.frames import Frames
 from dcp_conformance.reporting.overview import certainty, sentence
 
-from .stimulus import Step, needs_calls, only, stimulus
+from .stimulus import Step, needs_calls, stimulus
 
 #: Maximum numbers: failed checks of the best case, frames of each check, cases in the list of evidence.
 _CHECKS, _FRAMES, _CASES = 4, 2, 12
 
 
-Minimise = Callable[[CaseResult, Check, Sequence[int]], tuple[int, ...] | None]
-"""Function that returns those of the given frames that are necessary for the check to fail, or None if the reduction
-was not possible. Frames are indices from 0 among all frames that the tester sent in the case."""
-
-
-def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Minimise | None = None) -> list[Path]:
+def write_issues(run: RunResult, folder: Path, codec: Codec | None) -> list[Path]:
     """Write one report for each fault of the diagnosis. Returns the Markdown files, the most important fault first.
 
-    ``codec`` dissects the frames; without it the reports show octets only. ``minimise`` reduces a stimulus to the
-    necessary frames; without it the reports contain all frames. Raises ``UsageError`` if the run has no diagnosed
-    fault, or if a file cannot be written.
+    ``codec`` dissects the frames; without it the reports show octets only. Raises ``UsageError`` if the run has no
+    diagnosed fault, or if a file cannot be written.
     """
     if run.diagnosis is None or not run.diagnosis.faults:
         raise UsageError("there is no probable fault in these results; --issues needs a run in which cases failed")
@@ -52,13 +45,7 @@ def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Mi
                 continue
             name = f"{number:02d}-{_slug(fault.what if fault.likely else case.id)}"
             steps = stimulus(case, fault.check)
-            places = [step.frame for step in steps if step.octets]
-            needed = minimise(case, fault.check, places) if minimise is not None and not case.left_out else None
-            if needed is not None:
-                steps = only(steps, needed)
             context = _context(run, fault, case, steps, Frames(codec), name)
-            context["left_out"] = len(places) - len(needed) if needed is not None else 0
-            context["minimised"] = needed is not None
             for template, suffix in (("issue.md", ".md"), ("reproduce.py.txt", ".py"), ("stimulus.h.txt", ".h")):
                 if suffix == ".md" or any(step.octets for step in steps):
                     text = environment.get_template(template).render(**context)

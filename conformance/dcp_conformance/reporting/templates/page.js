@@ -100,6 +100,26 @@
       while (i > 0 && i < times.length - 1 && !differs[i]) i += step;
       at.value = Math.min(Math.max(i, 0), times.length - 1); draw();
     };
+    // A click on a cell tells how its value came there; a row of changes names the row that it came from.
+    const rows = []; let passed = 0;
+    for (const [step, n, v, number, frame, asked, source, by] of data.changes) { passed += step; rows.push({ t: passed, n, v, number, frame, asked, source, by }); }
+    const why = document.querySelector("#holds-why");
+    const tell = key => {
+      const v = Math.floor(key / nodes.length), n = key % nodes.length, goal = times[at.value];
+      let place = rows.findLastIndex(row => row.t <= goal && row.v === v && row.n === n);
+      why.replaceChildren();
+      const line = text => { const li = document.createElement("li"); li.textContent = text; why.append(li); };
+      if (place < 0) { line(nodes[n] + " has sent no record about variable " + variables[v]); return; }
+      const state = row => row.number === DELETED ? "deletes variable " + variables[v] : row.number === ASKED ? "requests variable " + variables[v] : "states " + row.number + " of variable " + variables[v];
+      for (let hops = 0; place >= 0 && hops < 64; hops++) {
+        const row = rows[place];
+        const from = row.source >= 0 ? "; frame " + row.by + " of " + nodes[rows[row.source].n] + " is the last one with it before" : "";
+        const asks = row.asked && hops === 0 ? "; it requests the value " + row.asked + " times" : "";
+        line("+" + seconds(row.t) + " s, frame " + row.frame + ": " + nodes[row.n] + " " + state(row) + from + asks);
+        place = row.source;
+      }
+    };
+    for (const [key, cell] of cells) cell.addEventListener("click", () => tell(key));
     at.max = times.length - 1; at.value = at.max;
     at.addEventListener("input", draw);
     document.querySelector("#holds-before").addEventListener("click", jump(-1));

@@ -36,10 +36,7 @@ def check_deleted(bench: Bench, name: int, *requirements: str) -> None:
     asking, mark = bench.peer(), bench.mark()
     asking.send(asking.request_create(name))
     bench.require_alive("a request for a deleted variable", *requirements)
-    found = bench.instructions(_CREATE, name, mark)
-    bench.check(
-        not found, "no VarCreate of the deleted variable", f"{len(found)} VarCreates", *requirements, shown=True
-    )
+    bench.none(bench.instructions(_CREATE, name, mark), "no VarCreate of the deleted variable", *requirements)
 
 
 @case(
@@ -59,16 +56,10 @@ def crossing(bench: Bench, order: tuple[int, int]) -> None:
         peer = bench.peer()
         peer.send(peer.update(name, number, b"%d" % number))
     numbers = check_order(bench, bench.waiting.repeated(_UPDATE, name, mark), "VD-PU-06")
-    bench.check(5 in numbers, "VarUpdate 5 is forwarded", f"{numbers}", "VD-PU-07")
+    bench.some(5 in numbers, "VarUpdate 5 is forwarded", "VD-PU-07", seen=numbers)
     record = held(bench, name)
-    state = None if record is None else (record.upd.seqno, record.upd.value)
-    bench.check(
-        state == (5, b"5"),
-        "sequence number 5 with its value",
-        f"{state}",
-        "VD-PU-07",
-        shown=5 in numbers and record is not None,
-    )
+    state = record and (record.upd.seqno, record.upd.value)
+    bench.equal(state, (5, b"5"), "stored sequence number and value", "VD-PU-07", given=5 in numbers)
 
 
 @case(
@@ -92,55 +83,26 @@ def two_producers(bench: Bench, difference: int) -> None:
     if difference > 0:
         bench.session.creation_time = max(bench.session.creation_time, time + difference)
     first.send(one)
-    bench.require(
-        bench.until_instruction(_CREATE, name), "the first VarCreate is forwarded", "not forwarded in time", "VD-PC-10"
-    )
+    bench.required(bench.until_instruction(_CREATE, name), "the first VarCreate is forwarded", "VD-PC-10")
     second.send(two)
     wanted = two if bench.features.creation_time and difference > 0 else one
     found = bench.waiting.repeated(_CREATE, name, 0)
-    wrong = [each for each in found if each.record not in (one, two)]
-    bench.check(
-        not wrong,
-        "only unchanged VarCreates",
-        f"{len(wrong)} different ones",
-        "VD-PC-10",
-        frames=wrong[:4],
-        shown=True,
-    )
+    bench.every(found, lambda each: each.record in (one, two), "only unchanged VarCreates", "VD-PC-10")
     if wanted is two:
-        begun = next((place for place, each in enumerate(found) if each.record == two), None)
-        bench.require(begun is not None, "the later VarCreate is forwarded", "not forwarded in time", "VD-PC-01")
-        late = [each for each in found[begun:] if each.record == one]
-        text = f"{len(late)} VarCreates of the first variable"
-        bench.check(
-            not late, "after it only VarCreates of the later variable", text, "VD-PC-01", frames=late, shown=True
-        )
-        times = sum(each.record == two for each in found)
-        bench.check(
-            times == count,
-            f"the later VarCreate in {count} beacons",
-            f"{times}",
+        begun = bench.required(
+            next((place for place, each in enumerate(found) if each.record == two), None),
+            "the later VarCreate is forwarded",
             "VD-PC-01",
-            frames=found,
-            shown=times > count,
         )
+        late = [each for each in found[begun:] if each.record == one]
+        bench.none(late, "after it only VarCreates of the later variable", "VD-PC-01")
+        times = sum(each.record == two for each in found)
+        bench.repeated(times, count, "beacons with the later VarCreate", "VD-PC-01", frames=found)
     else:
-        times = sum(each.record == one for each in found)
-        bench.check(
-            times == len(found) == count,
-            f"the first VarCreate in {count} beacons, and no other",
-            f"{times} of {len(found)} VarCreates",
-            shown=len(found) > count or times != len(found),
-        )
+        bench.every(found, one, "no VarCreate other than the first")
+        bench.repeated(found, count, "beacons with the first VarCreate")
     record = held(bench, name)
-    state = "nothing" if record is None else f"{record.spec.prod_id.hex(':')} {record.upd.value!r}"
-    bench.check(
-        record == wanted,
-        f"{wanted.spec.prod_id.hex(':')} {wanted.upd.value!r} in the database",
-        state,
-        "VD-PC-01",
-        shown=record is not None,
-    )
+    bench.equal(record, wanted, f"{wanted.spec.prod_id.hex(':')} {wanted.upd.value!r} in the database", "VD-PC-01")
 
 
 @case(
@@ -171,15 +133,7 @@ def deletion_and_update(bench: Bench, beacons: tuple[str, ...]) -> None:
     found = bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04", absent="VD-RX-04" if together else "")
     if found:
         late = bench.instructions(_UPDATE, name, bench.heard.index(found[0].heard))
-        rule = "VD-RX-08" if together else "VD-PU-02"
-        bench.check(
-            not late,
-            "no VarUpdate of the deleted variable",
-            f"{len(late)} VarUpdates",
-            rule,
-            frames=late[:4],
-            shown=True,
-        )
+        bench.none(late, "no VarUpdate of the deleted variable", "VD-RX-08" if together else "VD-PU-02")
     elif together:
         return
     if not bench.features.removed_after_deletion:
@@ -203,15 +157,7 @@ def created_and_deleted(bench: Bench, step: int) -> None:
     peer.send(*records[::step])
     bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04")
     for kind in (_CREATE, ICType.SUMMARIES):
-        found = bench.instructions(kind, name, mark)
-        bench.check(
-            not found,
-            f"no {kind.label} record of the variable",
-            f"{len(found)} records",
-            "VD-RX-08",
-            frames=found[:4],
-            shown=True,
-        )
+        bench.none(bench.instructions(kind, name, mark), f"no {kind.label} record of the variable", "VD-RX-08")
 
 
 @case(
@@ -240,14 +186,7 @@ def slow_echo(bench: Bench) -> None:
         echo.send(record)
         bench.require_alive("a late record about a deleted variable", requirement)
         trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
-        bench.check(
-            not trace,
-            "no record about the variable",
-            f"{len(trace)} records",
-            requirement,
-            frames=trace[:4],
-            shown=deleted,
-        )
+        bench.none(trace, "no record about the variable", requirement, given=deleted)
     check_deleted(bench, name, "VD-PC-01")
 
 
@@ -276,13 +215,10 @@ def own_variable(bench: Bench, what: str) -> None:
     peer.send(records[what])
     bench.require_alive("a record about a variable of its own", rule)
     answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-Read", rule, varId=name)
-    bench.check(answer.result.get("value") == "0a", "the value 0a", f"{answer.result.get('value')}", rule, shown=True)
+    bench.answered(answer.result.get("value"), "0a", "the value", rule)
     trace = [
         each for kind in (_UPDATE, _DELETE, ICType.REQUEST_VARUPDATES) for each in bench.instructions(kind, name, mark)
     ]
-    bench.check(
-        not trace, "no record forwarded, and no request", f"{len(trace)} records", rule, frames=trace[:4], shown=True
-    )
+    bench.none(trace, "no record forwarded, and no request", rule)
     record = held(bench, name)
-    state = None if record is None else record.upd.seqno
-    bench.check(state == 0, "sequence number 0", f"{state}", rule, shown=record is not None)
+    bench.equal(record and record.upd.seqno, 0, "stored sequence number", rule)

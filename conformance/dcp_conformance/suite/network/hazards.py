@@ -35,13 +35,7 @@ def mutual_requests(bench: Bench) -> None:
     if not bench.features.rerequest_unknown:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
-        if bench.check(
-            not found,
-            "no request: 1.0 ignores requests for unknown variables",
-            f"{len(found)} requests",
-            frames=found[:4],
-            shown=True,
-        ):
+        if bench.none(found, "no request: 1.0 ignores requests for unknown variables"):
             bench.reading("X29", "nothing")
             bench.reading("H1", "does not arise in 1.0")
         return
@@ -49,7 +43,7 @@ def mutual_requests(bench: Bench) -> None:
     while rounds < 6 and bench.until_instruction(_ASK_CREATE, name) is not None:
         rounds += 1
         peer.send(peer.request_create(name))
-    bench.require(rounds, "a request for the variable that the peer requested", "none")
+    bench.required(rounds, "a request for the variable that the peer requested")
     bench.reading("X29", "requests the variable itself")
     lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
     bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
@@ -76,16 +70,10 @@ def forgotten_variable(bench: Bench) -> None:
             break
         rounds += 1
         peer.send(peer.create(name, seqno=7, producer=bench.identifiers.sut_id))
-    bench.check(rounds == 3, "a request for each summary", f"{rounds} of 3", "VD-PS-01")
+    bench.some(rounds == 3, "a request for each summary", "VD-PS-01", seen=f"{rounds} of 3")
     bench.require_alive("a VarCreate with the implementation as producer", "VD-PC-03")
     found = bench.instructions(_CREATE, name, mark)
-    bench.check(
-        not found,
-        "no forwarded VarCreate with the implementation as producer",
-        f"{len(found)} forwarded",
-        "VD-PC-03",
-        shown=True,
-    )
+    bench.none(found, "no forwarded VarCreate with the implementation as producer", "VD-PC-03")
     if rounds and not found:
         again = "again with each summary" if rounds == 3 else f"{rounds} times"
         bench.reading("H2", f"a lost variable is requested {again}, and the answer is ignored")
@@ -111,7 +99,7 @@ def split(bench: Bench) -> None:
     if bench.features.removed_after_deletion:
         # The entry was removed: an update of the producer causes a request, and its VarCreate restores the variable.
         asked = bench.until_instruction(_ASK_CREATE, name)
-        bench.check(asked, "a request for the variable, which is unknown again", "none", "VD-PD-04")
+        bench.some(asked, "a request for the variable, which is unknown again", "VD-PD-04")
         source.send(source.create(name, seqno=1, rep_cnt=count))
         healed = bench.until_instruction(_CREATE, name)
         bench.reading(
@@ -125,9 +113,7 @@ def split(bench: Bench) -> None:
     source.send(source.summary(name, 2))
     bench.require_alive("a summary of a deleted variable", "VD-PS-02")
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
-    bench.check(
-        not trace, "no reaction to records of the producer", f"{len(trace)} records", frames=trace[:4], shown=True
-    )
+    bench.none(trace, "no reaction to records of the producer")
     source.send(create)
     check_deleted(bench, name, "VD-PC-01")
     source.send(source.create(name, rep_cnt=count))
@@ -166,11 +152,9 @@ def taken_over(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(create)
     bench.until(lambda heard: heard.about(_CREATE, name) == create, 8)
-    passed = any(each.record == create for each in bench.instructions(_CREATE, name, mark))
-    bench.require(
-        passed,
+    bench.required(
+        any(each.record == create for each in bench.instructions(_CREATE, name, mark)),
         "the later VarCreate is forwarded and replaces the node's own variable",
-        "not forwarded in time",
         "VD-PC-01",
     )
     update = bench.expect_status("VARDIS-STATUS-NOT-PRODUCER", "RTDB-Update", "VD-UPD-03", varId=name, value="01")
@@ -196,10 +180,7 @@ def clock_ahead(bench: Bench) -> None:
     right.send(right.create(name, value=b"right"))
     bench.require_alive("a VarCreate with an older creationTime")
     record = held(bench, name)
-    state = None if record is None else record.upd.value
-    bench.check(
-        record == ahead, "the variable with the creationTime in the future", f"{state!r}", shown=record is not None
-    )
+    bench.equal(record, ahead, "the variable with the creationTime in the future")
     if record == ahead:
         bench.reading("H5", "later creations with the correct time are ignored")
     wrong.send(wrong.delete(name))
@@ -221,20 +202,12 @@ def starts_again(bench: Bench) -> None:
     source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
     bench.require_alive("a second VarCreate", "VD-SCP-03")
     found = bench.instructions(_CREATE, name, mark)
-    what = "no VarCreate of the known variable"
-    bench.check(not found, what, f"{len(found)} VarCreates", "VD-SCP-03", frames=found, shown=True)
+    bench.none(found, "no VarCreate of the known variable", "VD-SCP-03")
     mark = bench.mark()
     source.send(source.update(name, 1, b"again"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
     numbers = {each.record.seqno for each in found}
-    bench.check(
-        numbers == {50},
-        "the stored value with sequence number 50",
-        f"{numbers}",
-        "VD-PU-06",
-        frames=found,
-        shown=numbers - {50},
-    )
+    bench.only(numbers, {50}, "the stored value with sequence number 50", "VD-PU-06", frames=found)
     if bench.verdicts.all_hold():
         bench.reading("H6", "the producer's values are ignored until its number passes 50")
 
@@ -261,13 +234,7 @@ def missed_creation(bench: Bench) -> None:
     other.send(other.summary(name, 3))
     bench.require_alive("a summary with the stored sequence number", "VD-PS-02")
     found = bench.instructions(_UPDATE, name, quiet)
-    bench.check(
-        not found,
-        "no VarUpdate in response to the stored sequence number",
-        f"{len(found)} VarUpdates",
-        "VD-PS-02",
-        shown=True,
-    )
+    bench.none(found, "no VarUpdate in response to the stored sequence number", "VD-PS-02")
     asked = bench.instructions(_ASK_CREATE, name, mark)
     if asked or bench.verdicts.all_hold():
         bench.reading("H7", "requests the VarCreate" if asked else "keeps the first creation without a request")
@@ -289,8 +256,7 @@ def earlier_update(bench: Bench) -> None:
     source, late, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=9, rep_cnt=count))
     mark = bench.mark()
-    second = source.create(name, value=b"second life", rep_cnt=count)
-    source.send(second)
+    source.send(source.create(name, value=b"second life", rep_cnt=count))
     bench.check_repeated(_CREATE, name, count, mark, "VD-PC-01")
     mark = bench.mark()
     late.send(late.update(name, 10, b"first life"))
@@ -324,8 +290,6 @@ def many_missed_updates(bench: Bench) -> None:
         source.send(record)
         found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
         values, stored = {each.record.value for each in found}, bench.records.value(b"stale")
-        bench.check(
-            values == {stored}, "the stored value", f"{values}", requirement, frames=found, shown=values - {stored}
-        )
+        bench.only(values, {stored}, "the stored value", requirement, frames=found)
     if bench.verdicts.all_hold():
         bench.reading("H9", "sends its outdated value and keeps it")

@@ -36,8 +36,7 @@ def learns(bench: Bench, by: ICType) -> None:
     mark = bench.mark()
     peer.send(peer.summary(name, 6) if by is _SUMMARY else peer.update(name, 6))
     asked = bench.until_instruction(_ASK_CREATE, name)
-    requirement = "VD-PS-01" if by is _SUMMARY else "VD-PU-01"
-    bench.require(asked, "a request for the unknown variable", "none", requirement)
+    bench.required(asked, "a request for the unknown variable", "VD-PS-01" if by is _SUMMARY else "VD-PU-01")
     create = peer.create(name, seqno=6, value=b"six", rep_cnt=count)
     peer.send(create)
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-PC-09")
@@ -48,18 +47,16 @@ def learns(bench: Bench, by: ICType) -> None:
 
 def _check_content(bench: Bench, records: list[VarCreate], create: VarCreate) -> None:
     other = next((each for each in records if each != create), None)
-    bench.check(other is None, f"the unchanged VarCreate {create}", f"{other}", "VD-PC-07", shown=True)
+    bench.none(other, f"the unchanged VarCreate {create}", "VD-PC-07")
 
 
 def _check_summarised(bench: Bench, name: int, number: int) -> None:
     if summarises(bench):
         return
     found = bench.until_instruction(_SUMMARY, name, 12)
-    bench.check(found is not None, f"summaries of variable {name}", "none in 12 periods", "VD-PC-09")
+    bench.some(found, f"summaries of variable {name}", "VD-PC-09", seen="none in 12 periods")
     if found is not None:
-        bench.check(
-            found.seqno == number, f"a summary with sequence number {number}", f"{found.seqno}", "VD-PC-07", shown=True
-        )
+        bench.answered(found.seqno, number, "sequence number in the summary", "VD-PC-07")
 
 
 @case(
@@ -77,17 +74,15 @@ def catches_up(bench: Bench) -> None:
     bench.learn(peer, peer.create(name, seqno=2, rep_cnt=count))
     mark = bench.mark()
     peer.send(peer.summary(name, 7))
-    asked = bench.until_instruction(_ASK_UPDATE, name)
-    if asked is None:
-        bench.fail("a request for the newer value", "none", "VD-PS-04")
-    bench.check(
-        asked.seqno == 2, "its own sequence number, 2, in the request", f"{asked.seqno}", "VD-CMP-11", shown=True
-    )
+    asked = bench.required(bench.until_instruction(_ASK_UPDATE, name), "a request for the newer value", "VD-PS-04")
+    bench.answered(asked.seqno, 2, "its own sequence number in the request", "VD-CMP-11")
     peer.send(peer.update(name, 7, b"seven"))
-    found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
-    wrong = [each for each in found if each.record != bench.records.update(name, 7, b"seven")]
-    text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the VarUpdate unchanged", text, "VD-PU-07", frames=wrong, shown=True)
+    bench.every(
+        bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07"),
+        bench.records.update(name, 7, b"seven"),
+        "the VarUpdate unchanged",
+        "VD-PU-07",
+    )
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
 
 
@@ -111,9 +106,7 @@ def teaches_create(bench: Bench) -> None:
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = msgspec.structs.replace(create, upd=bench.records.update(name, 2, b"new"))
-    wrong = [each for each in found if each.record != wanted]
-    text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong, shown=updated)
+    bench.every(found, wanted, "the current VarCreate", "VD-CMP-07", given=updated)
 
 
 @case(
@@ -130,10 +123,11 @@ def teaches_update(bench: Bench) -> None:
     bench.learn(producer, producer.create(name, value=b"five", seqno=5, rep_cnt=count))
     mark = bench.mark()
     stale.send(stale.request_update(name, 4))
-    found = bench.check_repeated(_UPDATE, name, count, mark)
-    wrong = [each for each in found if each.record != bench.records.update(name, 5, b"five")]
-    text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the stored value with sequence number 5", text, frames=wrong, shown=True)
+    bench.every(
+        bench.check_repeated(_UPDATE, name, count, mark),
+        bench.records.update(name, 5, b"five"),
+        "the stored value with sequence number 5",
+    )
 
 
 @case(
@@ -152,22 +146,17 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     bench.learn(producer, producer.create(name, value=b"nine", seqno=9, rep_cnt=count))
     mark = bench.mark()
     stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
-    found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
-    wrong = [each for each in found if each.record != bench.records.update(name, 9, b"nine")]
-    text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the stored value with sequence number 9", text, requirement, frames=wrong, shown=True)
+    bench.every(
+        bench.check_repeated(_UPDATE, name, count, mark, requirement),
+        bench.records.update(name, 9, b"nine"),
+        "the stored value with sequence number 9",
+        requirement,
+    )
     mark = bench.mark()
     stale.send(stale.summary(name, 9))
     bench.require_alive("a summary with the stored sequence number", requirement)
     late = bench.instructions(_UPDATE, name, mark)
-    bench.check(
-        not late,
-        "no VarUpdate after a summary with the current sequence number",
-        f"{len(late)} VarUpdates",
-        requirement,
-        frames=late,
-        shown=True,
-    )
+    bench.none(late, "no VarUpdate after a summary with the current sequence number", requirement)
 
 
 class _Joiner:
@@ -225,10 +214,10 @@ def converges(bench: Bench) -> None:
         bench.waiting.repeated(_UPDATE, names[turn], mark)
         converged = bench.until(caught_up, 60)
         wrong = sorted(each for each in names if joiner.values.get(each) != truth[each])
-        bench.require(
+        bench.required(
             converged,
             "the joiner has the current values of all variables",
-            f"after 60 periods, variables {wrong} missing or outdated",
+            seen=f"after 60 periods, variables {wrong} missing or outdated",
         )
 
 
@@ -250,7 +239,7 @@ def asks_again(bench: Bench, kind: ICType) -> None:
     for _ in range(3):
         mark = bench.mark()
         peer.send(peer.summary(name, 1))
-        bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
+        bench.required(bench.until_instruction(kind, name), "a request", rule)
         bench.check_repeated(kind, name, 1, mark, once)
 
 
@@ -276,9 +265,9 @@ def taught_by_producer(bench: Bench) -> None:
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = VarUpdate(name, 1, bench.records.value(b"\x01\x02"))
-    wrong = [each for each in found if plain(each.record.upd) != wanted]
-    text = f"{wrong[0].record.upd}" if wrong else ""
-    bench.check(not wrong, "the current value with sequence number 1", text, "VD-CMP-07", frames=wrong, shown=True)
+    bench.every(
+        found, lambda each: plain(each.record.upd) == wanted, "the current value with sequence number 1", "VD-CMP-07"
+    )
     mark = bench.mark()
     stale.send(stale.request_update(name, 0))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-RU-04")

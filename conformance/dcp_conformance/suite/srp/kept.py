@@ -65,8 +65,7 @@ def own_entries(bench: Bench) -> None:
     for peer, report, data in zip(peers, reports, values, strict=True):
         entry = first[peer.node_id]
         observed = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
-        right = (data, report.t_stamp, report.seqno)
-        bench.check(observed == right, f"sData, tStamp and seqno {right}", f"{observed}", shown=True)
+        bench.answered(observed, (data, report.t_stamp, report.seqno), "sData, tStamp and seqno")
     bench.wait(0.5)
     peers[1].send(bench.records.report(peers[1].node_id, 2001, **values[0]))
     # A single query: entries time out while a slow upper tester answers.
@@ -78,7 +77,7 @@ def own_entries(bench: Bench) -> None:
             bench.verdicts.not_applicable("the calls of this case take longer than the neighbour table timeout")
         is_now = is_now or {}
         same = all(is_now.get(name) == was.get(name) for name in (*_FIELDS, "receptionTime"))
-        bench.check(same, f"{was}, as before", f"{is_now}", "SRP-RX-03", shown=True)
+        bench.proved(same, f"{was}, as before", is_now, "SRP-RX-03")
 
 
 @case(
@@ -103,7 +102,7 @@ def table_across_activation(bench: Bench) -> None:
         for when, table in (("while BP is inactive", during), ("afterwards", after)):
             is_now = table.get(node_id, [{}])[0]
             same = all(is_now.get(name) == entry.get(name) for name in (*_FIELDS, "receptionTime"))
-            bench.check(same, f"the entry unchanged {when}", f"{is_now or 'no entry'}", shown=True)
+            bench.proved(same, f"the entry unchanged {when}", is_now or "no entry")
 
 
 @case(
@@ -132,14 +131,7 @@ def numbers_across_activation(bench: Bench) -> None:
         if heard.report is not None and reporter.is_own(heard) and heard.report.seqno == (last.report.seqno - 1)
     ]
     if last.values == values:
-        bench.check(
-            not old,
-            "only the newest record",
-            "a beacon with the record before it",
-            "SRP-TYP-07",
-            frames=old,
-            shown=True,
-        )
+        bench.none(old, "only the newest record", "SRP-TYP-07")
 
 
 @case(
@@ -187,7 +179,5 @@ def any_number(bench: Bench, seqno: int) -> None:
         bench.verdicts.not_applicable(f"in the profile {bench.profile.name} the sequence number has fewer octets")
     peer = bench.peer()
     peer.send(bench.records.report(peer.node_id, seqno))
-    entry = until_neighbour(bench, peer.node_id)
-    bench.require(entry is not None, "an entry of the neighbour", "no entry", "SRP-RX-03")
-    assert entry is not None
-    bench.check(entry.get("seqno") == seqno, f"seqno {seqno}", f"{entry.get('seqno')}", shown=True)
+    entry = bench.required(until_neighbour(bench, peer.node_id), "an entry of the neighbour", "SRP-RX-03")
+    bench.answered(entry.get("seqno"), seqno, "seqno")

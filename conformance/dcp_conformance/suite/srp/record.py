@@ -63,32 +63,23 @@ def one_record(bench: Bench) -> None:
         seen += len(blocks)
         wrong = [len(block) for block in blocks if len(block) != size]
         if wrong:
-            bench.fail(
+            bench.wrong(
                 f"a size of {size} octets for every SRP payload",
                 f"{wrong[0]} octets",
-                "SRP-FMT-01",
-                "SRP-TYP-02",
+                "SRP-FMT-01 SRP-TYP-02",
                 frames=[heard],
-                shown=True,
             )
         own = heard.sender or bench.identifiers.sut_id
         for block in blocks:
             node_id = bench.codec.decode_report(block).node_id
             if node_id != own:
                 observed = f"nodeId {node_id.hex(':')}, senderId {own.hex(':')}"
-                bench.fail(
-                    "the senderId of the beacon as nodeId",
-                    observed,
-                    "SRP-TYP-04",
-                    "SRP-INI-06",
-                    frames=[heard],
-                    shown=True,
-                )
+                bench.wrong("the senderId of the beacon as nodeId", observed, "SRP-TYP-04 SRP-INI-06", frames=[heard])
     if not seen:
         bench.inconclusive(
             "state reports of the implementation", "none heard (if it has no SRP, set srp = false in [pics])"
         )
-    bench.check(True, f"{seen} SRP payloads, each a record of its sender")
+    bench.passed(f"{seen} SRP payloads, each a record of its sender")
 
 
 @case(
@@ -104,30 +95,18 @@ def values_arrive(bench: Bench) -> None:
     values = reporter.next_values()
     silent = not any(heard.report for heard in bench.wait(2))
     start, before = bench.mark(), bench.lower.wall()
-    bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02", "SRP-SRV-03", sData=values)
+    bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02 SRP-SRV-03", sData=values)
     reporter.noted(values, Moment(before, bench.lower.wall()))
     if (first := reporter.find(values)) is None:
-        others = [] if reporter.application() else _reports(bench, start)
+        others = [each for each in _reports(bench, start) if not reporter.foreign(each)]
         if not others:
-            reporter.lost("a beacon with the safety data", "SRP-TYP-03", "SRP-SRV-03")
-        bench.fail(
-            f"a record with sData {values}",
-            f"a record with sData {reported_safety_data(bench, others[-1].report)}",
-            "SRP-TYP-03",
-            "SRP-SRV-03",
-            frames=others[-1:],
-            # Otherwise it may belong to an earlier submission, and the record of this one was lost.
-            shown=silent,
-        )
-    bench.check(True, "a record with the submitted values", "", "SRP-TYP-03", "SRP-SRV-03")
+            reporter.lost("a beacon with the safety data", "SRP-TYP-03 SRP-SRV-03")
+        # Without silence it may belong to an earlier submission, and the record of this one was lost.
+        other = reported_safety_data(bench, others[-1].report)
+        bench.equal(other, values, "sData", "SRP-TYP-03 SRP-SRV-03", frames=others[-1:], given=silent, stop=True)
+    first = bench.required(first, "a record with the submitted values", "SRP-TYP-03 SRP-SRV-03")
     step = (reporter.sent("SRP-SRV-03").report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
-    bench.check(
-        0 < step < 1 << 16,
-        "a seqno of 32 bits that grows slowly",
-        f"an increase of {step}",
-        "SRP-TYP-01",
-        shown=True,
-    )
+    bench.proved(0 < step < 1 << 16, "a seqno of 32 bits that grows slowly", f"an increase of {step}", "SRP-TYP-01")
 
 
 @case(
@@ -167,9 +146,7 @@ def _stamps(bench: Bench, first: Sent, second: Sent) -> Stamps:
     expect="the difference between the two time stamps is that of the submissions, not of the beacons",
     window=20,
     needs=Needs(
-        since=SpecVersion.V1_2,
-        ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"),
-        entities=("srp",),
+        since=SpecVersion.V1_2, ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"), entities=("srp",)
     ),
 )
 def time_stamp_of_late_record(bench: Bench) -> None:
@@ -228,12 +205,11 @@ def newest_only(bench: Bench) -> None:
     bench.beacons(2, 3)
     shown = newest()
     late = [heard for heard in _reports(bench, before) if reported_safety_data(bench, heard.report) in older]
-    bench.check(
+    bench.proved(
         len(late) <= 1 and all(heard.time < shown[0].time for heard in late),
         "no older safety data after the newest",
         f"{len(late)} beacons with older safety data",
         frames=late,
-        shown=True,
     )
 
 
@@ -250,9 +226,7 @@ def sequence_numbers(bench: Bench) -> None:
     reporter = Reporter(bench)
     sent = [reporter.sent() for _ in range(5)]
     numbers, frames = [each.report.seqno for each in sent], [each.heard for each in sent]
-    bench.check(
-        len(set(numbers)) == 5, "five different sequence numbers", f"{numbers}", "SRP-TYP-06", frames=frames, shown=True
-    )
+    bench.answered(len(set(numbers)), 5, "different sequence numbers", "SRP-TYP-06", frames=frames)
     for first, second in pairwise(sent):
         reporter.check_grown(first, second, "SRP-SEQ-01")
 
@@ -277,13 +251,7 @@ def once(bench: Bench) -> None:
             peer.send(peer.create(bench.var_id()))
         bench.beacons(3, 4)
         frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
-        bench.check(
-            len(frames) == 1,
-            f"the record of submission {number} in one beacon",
-            f"in {len(frames)} beacons",
-            frames=frames,
-            shown=len(frames) > 1,
-        )
+        bench.repeated(frames, 1, f"beacons with the record of submission {number}")
 
 
 @case(
@@ -301,18 +269,12 @@ def repeated(bench: Bench) -> None:
         first = reporter.sent()
         frames = bench.beacons(4)
         if len(frames) < 4:
-            bench.fail("beacons continue while there is a record to repeat", f"{len(frames)} beacons in time")
+            bench.missing("beacons continue while there is a record to repeat", f"{len(frames)} beacons in time")
         other = [heard for heard in frames if heard.report != first.report]
         if other and reporter.application():
             # The reports of the application are then the newest.
             other = [heard for heard in other if heard.report is None or reporter.is_own(heard)]
-        bench.check(
-            not other,
-            f"the record of submission {number} in four beacons, with unchanged tStamp and seqno",
-            f"{len(other)} of them without it",
-            frames=other,
-            shown=True,
-        )
+        bench.none(other, f"the record of submission {number} in four beacons, with unchanged tStamp and seqno")
 
 
 @case(
@@ -330,13 +292,7 @@ def repeated_time_stamp(bench: Bench) -> None:
     bench.beacons(3, 4)
     frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
     stamps = {(heard.report.t_stamp, heard.report.seqno) for heard in frames if heard.report is not None}
-    bench.check(
-        len(stamps) == 1,
-        "one pair of tStamp and seqno in all repetitions",
-        f"{len(stamps)} different pairs",
-        frames=frames,
-        shown=True,
-    )
+    bench.answered(len(stamps), 1, "pairs of tStamp and seqno in all repetitions", frames=frames)
 
 
 @case(

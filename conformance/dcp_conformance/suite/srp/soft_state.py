@@ -13,11 +13,11 @@ from dcp_conformance.test_steps.services import neighbour, neighbours, parameter
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
-_TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
+TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
-def _lifetime(
+def lifetime(
     bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
 ) -> None:
     """Watch entries made at ``begun`` until they are removed; all times in ns.
@@ -35,24 +35,26 @@ def _lifetime(
         after = bench.now() - begun
         for node_id in sorted(there - table):
             there.discard(node_id)
-            bench.check(
+            bench.some(
                 after >= timeout,
                 f"an entry remains for {timeout / 1e6:.0f} ms after the reception of its record",
-                f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
+                seen=f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
             )
         if there and before > latest:
             observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
+            bench.missing(
+                f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed
+            )
         if there:
             bench.waiting.wait_ns(step)
 
 
 @contextmanager
-def _brief_timeout(bench: Bench) -> Iterator[int]:
+def brief_timeout(bench: Bench) -> Iterator[int]:
     """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
     settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(_TIMEOUT)
-    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+    length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(TIMEOUT)
+    with parameters_set(bench, "SRP", **({TIMEOUT: length} if settable else {})):
         yield length
 
 
@@ -82,7 +84,7 @@ def timeout(bench: Bench) -> None:
         peer.send(bench.records.report(peer.node_id, 1, t_stamp=stamp))
     for peer in peers:
         until_neighbour(bench, peer.node_id)
-    _lifetime(bench, peers, begun, bench.sut.bound(_TIMEOUT) * MS)
+    lifetime(bench, peers, begun, bench.sut.bound(TIMEOUT) * MS)
 
 
 @case(
@@ -96,25 +98,26 @@ def timeout(bench: Bench) -> None:
 )
 def short_timeout(bench: Bench) -> None:
     short = round(500 * bench.session.timing_scale)
-    with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
+    with parameters_set(bench, "SRP", **{TIMEOUT: short}):
         peer = bench.peer()
         begun = bench.now()
         peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
-        _lifetime(bench, [peer], begun, short * MS)
+        lifetime(bench, [peer], begun, short * MS)
 
 
 @case(
     "TC_SRP_NT_TI_03",
     "Each further record restarts the timeout of an entry",
     requirements="SRP-RX-03 SRP-RUN-02",
+    alone="it shortens the timeout of neighbours",
     stimulus="a record every half timeout, for two timeouts; then none",
     expect="the entry remains all the time, and is removed in time afterwards",
     window=100,
     needs=_TABLE,
 )
 def refreshed(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
         for number in range(5):
@@ -123,23 +126,24 @@ def refreshed(bench: Bench) -> None:
             bench.waiting.wait_ns(length * MS // 2)
             there = neighbour(bench, peer.node_id) is not None
             if not there and bench.now() - begun < length * MS:
-                bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
+                bench.missing("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.records.report(peer.node_id, 5))
         begun = bench.now()
-        _lifetime(bench, [peer], begun, length * MS)
+        lifetime(bench, [peer], begun, length * MS)
 
 
 @case(
     "TC_SRP_NT_TI_04",
     "An entry is removed although another neighbour keeps reporting",
     requirements="SRP-RUN-01 SRP-RUN-02",
+    alone="it shortens the timeout of neighbours",
     stimulus="one record of one neighbour; many of another, twenty per timeout",
     expect="the entry of the silent neighbour is removed in time",
     window=45,
     needs=_TABLE,
 )
 def silent_among_others(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         silent, other = bench.peer(), bench.peer()
         numbers = itertools.count()
 
@@ -150,7 +154,7 @@ def silent_among_others(bench: Bench) -> None:
         begun = bench.now()
         silent.send(bench.records.report(silent.node_id, 1))
         until_neighbour(bench, silent.node_id)
-        _lifetime(bench, [silent], begun, length * MS, report)
+        lifetime(bench, [silent], begun, length * MS, report)
 
 
 @case(
@@ -162,30 +166,25 @@ def silent_among_others(bench: Bench) -> None:
     window=45,
     needs=Needs(
         since=SpecVersion.V1_2,
-        ut=(
-            "SRP-NeighbourTable",
-            "BP-MGMT-Activate",
-            "BP-MGMT-Deactivate",
-            "VD-MGMT-Activate",
-            "VD-MGMT-Deactivate",
-        ),
+        ut=("SRP-NeighbourTable", "BP-MGMT-Activate", "BP-MGMT-Deactivate", "VD-MGMT-Activate", "VD-MGMT-Deactivate"),
         entities=("srp", "vardis"),
     ),
 )
 def while_others_rest(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
         peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
         with bench.services.deactivated("VD"), bench.services.deactivated("BP"):
-            _lifetime(bench, [peer], begun, length * MS)
+            lifetime(bench, [peer], begun, length * MS)
 
 
 @case(
     "TC_SRP_NT_BV_06",
     "The neighbour table can be queried whatever its contents",
     requirements="SRP-NT-02",
+    alone="it needs an empty neighbour table",
     stimulus="SRP-NeighbourTable before and after each of three records of a neighbour, the last record sent twice",
     expect="SRP-STATUS-OK each time",
     needs=_TABLE,
@@ -210,13 +209,13 @@ def answers(bench: Bench) -> None:
 def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
     bench.services.require_asked(answer, "an answer to SRP-GetParameters")
-    bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
-    value = answer.result.get("parameters", {}).get(_TIMEOUT)
-    bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)
+    bench.required(answer.ok, "a positive answer to SRP-GetParameters", seen=answer)
+    value = answer.result.get("parameters", {}).get(TIMEOUT)
+    bench.proved(value is not None, f"{TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01")
     if value == 3000:
-        bench.check(True, f"{_TIMEOUT} is 3000 ms", "", "SRP-PAR-03")
+        bench.passed(f"{TIMEOUT} is 3000 ms", "SRP-PAR-03")
     elif value is not None:
-        bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
+        bench.info(f"Is the default {TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
 
 
 @case(
@@ -228,20 +227,20 @@ def default_timeout(bench: Bench) -> None:
     needs=Needs(ut=("SRP-GetParameters", "SRP-SetParameter"), entities=("srp",)),
 )
 def refused_timeout(bench: Bench) -> None:
-    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(TIMEOUT)
     if configured is None:
-        bench.inconclusive(f"{_TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
+        bench.inconclusive(f"{TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
     try:
         for value in (-1, 0):
-            answer = bench.call("SRP-SetParameter", name=_TIMEOUT, value=value)
+            answer = bench.call("SRP-SetParameter", name=TIMEOUT, value=value)
             if not answer.asked:
-                bench.info(f"Can {_TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
+                bench.info(f"Can {TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
                 continue
             if answer.ok:
-                bench.info(f"Can {_TIMEOUT} be {value} ms?", "yes")
+                bench.info(f"Can {TIMEOUT} be {value} ms?", "yes")
                 before = value
                 continue
-            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
-            bench.check(after == before, f"{_TIMEOUT} {before}, as before", f"{after}", shown=True)
+            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(TIMEOUT)
+            bench.answered(after, before, f"{TIMEOUT}, as before")
     finally:
-        bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)
+        bench.call("SRP-SetParameter", name=TIMEOUT, value=configured)

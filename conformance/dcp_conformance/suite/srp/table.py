@@ -31,8 +31,7 @@ def _require_working(bench: Bench, after: str) -> None:
     """Fail and stop the case unless the record of another neighbour still enters the table."""
     probe = bench.peer()
     probe.send(bench.records.report(probe.node_id, 1))
-    entry = until_neighbour(bench, probe.node_id)
-    bench.require(entry is not None, f"an entry of another neighbour after {after}", "no entry in time")
+    bench.required(until_neighbour(bench, probe.node_id), f"an entry of another neighbour after {after}")
 
 
 def _small(bench: Bench, number: int) -> dict[str, Any]:
@@ -54,26 +53,14 @@ def stored(bench: Bench) -> None:
     report = bench.records.report(peer.node_id, 77, **values)
     sent = bench.lower.wall()
     peer.send(report)
-    entry = until_neighbour(bench, peer.node_id)
-    if entry is None:
-        bench.fail("an entry of the record's node", "no entry")
+    entry = bench.required(until_neighbour(bench, peer.node_id), "an entry of the record's node")
     came = bench.lower.wall()
-    observed = {name: entry.get("sData", {}).get(name) for name in values}
-    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
-    bench.check(entry.get("seqno") == 77, "seqno 77", f"{entry.get('seqno')}", "SRP-RX-03", shown=True)
-    bench.check(
-        entry.get("tStamp") == report.t_stamp,
-        f"tStamp {report.t_stamp}",
-        f"{entry.get('tStamp')}",
-        "SRP-RX-03",
-        shown=True,
-    )
+    bench.answered({name: entry.get("sData", {}).get(name) for name in values}, values, "sData", "SRP-RX-03")
+    bench.fields(entry, "SRP-RX-03", seqno=77, tStamp=report.t_stamp)
     time, slack = entry.get("receptionTime"), bench.sut.pixit.clock_tolerance_ms * MS
     near = isinstance(time, int) and sent - slack <= time <= came + slack
-    bench.check(
-        near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03", shown=True
-    )
-    bench.check(len(neighbours(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01", shown=True)
+    bench.proved(near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", time, "SRP-RX-03")
+    bench.answered(len(neighbours(bench)[peer.node_id]), 1, "entries of the node", "SRP-NT-01")
 
 
 @case(
@@ -87,9 +74,7 @@ def stored(bench: Bench) -> None:
 def replaced(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.records.report(peer.node_id, 5, **_small(bench, 1)))
-    first = until_neighbour(bench, peer.node_id)
-    if first is None:
-        bench.fail("an entry with the first record", "no such entry", "SRP-RX-03")
+    first = bench.required(until_neighbour(bench, peer.node_id), "an entry with the first record", "SRP-RX-03")
     entries = [first]
 
     def measure() -> int:
@@ -97,17 +82,16 @@ def replaced(bench: Bench) -> None:
         number = 5 + len(entries)
         values = _small(bench, number - 4)
         peer.send(bench.records.report(peer.node_id, number, **values))
-        second = until_neighbour(bench, peer.node_id, number)
-        if second is None:
-            bench.fail("an entry with the newer record", "no such entry in time", "SRP-RX-03")
-        observed = {name: second.get("sData", {}).get(name) for name in values}
-        bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
+        second = bench.required(
+            until_neighbour(bench, peer.node_id, number), "an entry with the newer record", "SRP-RX-03"
+        )
+        bench.answered({name: second.get("sData", {}).get(name) for name in values}, values, "sData", "SRP-RX-03")
         entries.append(second)
         return int(second.get("receptionTime", 0) - entries[-2].get("receptionTime", 0))
 
     check_later(bench, "a later receptionTime", bench.period, measure, "SRP-RX-03")
     same = neighbours(bench).get(peer.node_id, [])
-    bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01", shown=True)
+    bench.answered(len(same), 1, "entries of the node", "SRP-NT-01")
 
 
 @case(
@@ -138,12 +122,8 @@ def not_newer(bench: Bench, seqno: int) -> None:
     claimed = bench.sut.pics.srp_seqno_filter
     # For an equal sequence number a filter may accept the record (it is not older) or drop it as a repetition.
     if claimed is not None and seqno < 100:
-        bench.check(
-            claimed != taken,
-            f"srp_seqno_filter = {str(claimed).lower()}, as the PICS claims",
-            "the opposite",
-            shown=taken,
-        )
+        bench.none(claimed and taken, "srp_seqno_filter = true, as the PICS claims", seen="the record is stored")
+        bench.some(claimed or taken, "srp_seqno_filter = false, as the PICS claims", seen="the record is not stored")
 
 
 @case(
@@ -157,8 +137,8 @@ def not_newer(bench: Bench, seqno: int) -> None:
 def key(bench: Bench) -> None:
     peer, other = bench.peer(), bench.identifiers.node_id()
     peer.send(bench.records.report(other, 1))
-    bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "none in time")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "an entry", shown=True)
+    bench.some(until_neighbour(bench, other), "an entry of the record's node")
+    bench.none(neighbour(bench, peer.node_id), "no entry of the beacon's sender")
 
 
 @case(
@@ -174,13 +154,7 @@ def wide_numbers(bench: Bench) -> None:
         peer = bench.peer()
         peer.send(bench.records.report(peer.node_id, number))
         entry = until_neighbour(bench, peer.node_id)
-        observed = "no entry" if entry is None else f"seqno {entry.get('seqno')}"
-        bench.check(
-            entry is not None and entry.get("seqno") == number,
-            f"an entry with seqno {number}",
-            observed,
-            shown=entry is not None,
-        )
+        bench.equal(entry and entry.get("seqno"), number, "seqno of the entry")
 
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
@@ -212,15 +186,12 @@ def wrong_length(bench: Bench, name: str) -> None:
     peer.send(_block(bench, peer, name))
     _require_working(bench, "a payload of a wrong length")
     table = set(neighbours(bench))
-    bench.check(peer.node_id not in table, "no entry of the payload's node", "an entry", shown=True)
+    bench.proved(peer.node_id not in table, "no entry of the payload's node", "an entry")
     # No other node sent anything, so any other entry was made from octets of the payload.
     others = table - before - {each.node_id for each in bench.peers.made}
     if not any(event.direction == "other" for event in bench.traffic.events):
-        bench.check(
-            not others,
-            "no entry of a node that does not exist",
-            f"entries of {[each.hex(':') for each in others]}",
-            shown=True,
+        bench.none(
+            others, "no entry of a node that does not exist", seen=f"entries of {[each.hex(':') for each in others]}"
         )
 
 
@@ -237,7 +208,7 @@ def wrong_protocol(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(Block(3, bench.builder.srp(bench.records.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "an entry", shown=True)
+    bench.none(neighbour(bench, peer.node_id), "no entry of the payload's node")
 
 
 @case(
@@ -253,12 +224,7 @@ def own_identifier(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.records.report(bench.identifiers.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
-    bench.check(
-        neighbour(bench, bench.identifiers.sut_id) is None,
-        "no entry of the implementation's own node",
-        "an entry",
-        shown=True,
-    )
+    bench.none(neighbour(bench, bench.identifiers.sut_id), "no entry of the implementation's own node")
 
 
 @case(
@@ -274,18 +240,11 @@ def list_and_look_up(bench: Bench) -> None:
     for number, peer in enumerate(peers):
         peer.send(bench.records.report(peer.node_id, number))
     for peer in peers:
-        entry = until_neighbour(bench, peer.node_id)
-        bench.check(entry is not None, f"{peer.node_id.hex(':')} in the list", "not in the list", "SRP-NT-02")
+        bench.some(until_neighbour(bench, peer.node_id), f"{peer.node_id.hex(':')} in the list", "SRP-NT-02")
     for node_id, expected in ((peers[1].node_id, [1]), (bench.identifiers.node_id(), [])):
         found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
         numbers = [row.get("seqno") for row in found]
-        bench.check(
-            numbers == expected,
-            f"{len(expected)} entries for {node_id.hex(':')}",
-            f"{len(found)}: {[row.get('nodeId') for row in found]}",
-            "SRP-NT-01",
-            shown=numbers,
-        )
+        bench.in_order(numbers, expected, f"{len(expected)} entries for {node_id.hex(':')}", "SRP-NT-01")
 
 
 @case(
@@ -300,12 +259,7 @@ def own_data(bench: Bench) -> None:
     _require_reception(bench)
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
     _require_working(bench, "a submission of safety data")
-    bench.check(
-        neighbour(bench, bench.identifiers.sut_id) is None,
-        "no entry of the implementation's own node",
-        "an entry",
-        shown=True,
-    )
+    bench.none(neighbour(bench, bench.identifiers.sut_id), "no entry of the implementation's own node")
 
 
 @case(
@@ -326,6 +280,4 @@ def extra_fields(bench: Bench) -> None:
     bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
     claimed = bench.sut.pics.neighbour_statistics
     if claimed is not None:
-        bench.check(
-            bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}", shown=True
-        )
+        bench.answered(bool(extra), claimed, "fields of statistics, as [pics] neighbour_statistics claims")

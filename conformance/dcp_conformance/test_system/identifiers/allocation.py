@@ -102,7 +102,8 @@ class Identifiers:
         """
         found = self._pool.unknown(count, self._clock.now(), self.created)
         if len(found) < count:
-            self._no_variables_left(f"{count} identifiers of variables that the implementation does not know")
+            what = f"{count} identifiers of variables that the implementation does not know"
+            self._no_variables_left(what, len(self.created) + count)
         self.called_unknown.update(found)
         return found
 
@@ -115,8 +116,8 @@ class Identifiers:
         return self._pool.left(self._clock.now(), self.created) >= count
 
     def is_applications(self, var_id: int) -> bool:
-        """Return whether the PIXIT leaves an identifier to applications on the node."""
-        return not self._pool.first <= var_id < self._pool.first + self._pool.size
+        """Return whether an identifier is that of an application on the node, by the PIXIT or as observed before."""
+        return var_id in self._pool.foreign or not self._pool.first <= var_id < self._pool.first + self._pool.size
 
     def own_var_id(self) -> int:
         """Return an identifier for one of the node's own variables that was never used before (X20).
@@ -164,7 +165,11 @@ class Identifiers:
 
     # -- none left -----------------------------------------------------------------------------------------------------
 
-    def _no_variables_left(self, expected: str) -> NoReturn:
+    def _no_variables_left(self, expected: str, wanted: int = 0) -> NoReturn:
+        """``wanted``: the number of variables that the case needs, if there may be more than it has."""
+        # One more is needed for signs of life.
+        if why := self._sut.lacks("variables", max(wanted, len(self.created | self.called_unknown) + 1) + 1):
+            self._verdicts.not_applicable(f"{why}, and this case needs more")
         self.used_up(expected, self._pool.left(self._clock.now(), self.created), self._pool.size)
 
     def used_up(self, expected: str, left: int, size: int) -> NoReturn:

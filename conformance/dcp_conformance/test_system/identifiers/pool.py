@@ -38,18 +38,33 @@ class IdentifierPool:
 
     ``leave``: deleted variables are removed from the database (up to 1.3). ``timed``: variables have a creationTime,
     with which a peer can create a deleted one again (since 2.0). ``kept``: identifiers that are not handed out, for
-    cases that test these values.
+    cases that test these values. ``capacity``: the number of variables that the database can hold; None: unlimited. A
+    full database requests no unknown variable (X43), so that then none is handed out.
     """
 
-    def __init__(self, first: int, last: int, *, leave: bool, timed: bool, kept: Collection[int] = frozenset()) -> None:
+    def __init__(
+        self,
+        first: int,
+        last: int,
+        *,
+        leave: bool,
+        timed: bool,
+        kept: Collection[int] = frozenset(),
+        capacity: int | None = None,
+    ) -> None:
         self.first = first
         self.size = last - first + 1
         self._leave = leave
         self._timed = timed
         self._uses: dict[int, _Use] = {}
         self._kept = frozenset(kept)
+        self._capacity = capacity
         self.in_use: Callable[[], Iterable[int]] = frozenset
         """The identifiers used by the other cases that are being executed at this moment."""
+        self.foreign: set[int] = set()
+        """Variables that the implementation had before the tester handed out their identifiers: of an application."""
+        self._handed: set[int] = set()
+        """The identifiers that were handed out."""
         self._next_unknown = 0
         self._next_for_peers = 0
 
@@ -86,6 +101,8 @@ class IdentifierPool:
             for use in self._uses.values():
                 use.beacons += 1
         for var_id in alive:
+            if var_id not in self._handed and var_id not in self._uses and var_id not in self._kept:
+                self.foreign.add(var_id)
             self.offered(var_id, by_peer=var_id in self._uses)
         for var_id in deleted:
             use = self._uses.setdefault(var_id, _Use(peers_only=False))
@@ -114,26 +131,39 @@ class IdentifierPool:
         """
         found: list[int] = []
         without = {*without, *self.in_use()}
+        count = min(count, self._room(now, without))
         for _ in range(self.size):
             if len(found) == count:
                 break
             var_id = self.first + self.size - 1 - self._next_unknown % self.size
             self._next_unknown += 1
-            if var_id not in without and var_id not in self._kept and self.is_unknown(var_id, now):
+            if var_id not in without and not self._reserved(var_id) and self.is_unknown(var_id, now):
                 found.append(var_id)
+        self._handed.update(found)
         return found
+
+    def _reserved(self, var_id: int) -> bool:
+        return var_id in self._kept or var_id in self.foreign
 
     def left(self, now: int, without: Collection[int] = ()) -> int:
         """Return the number of identifiers that the database cannot hold, without the kept ones."""
         # Only used identifiers are checked one by one: there are hundreds of others, and this is called often.
-        taken = {*self._kept, *without, *self.in_use()}
+        taken = {*self._kept, *self.foreign, *without, *self.in_use()}
         taken.update([each for each in tuple(self._uses) if each not in taken and not self.is_unknown(each, now)])
         every = self._all()
-        return self.size - sum(each in every for each in taken)
+        left = self.size - sum(each in every for each in taken)
+        return left if self._capacity is None else min(left, self._room(now, without))
+
+    def _room(self, now: int, without: Collection[int] = ()) -> int:
+        """Return the number of variables for which the database has room, in addition to those ``without``."""
+        if self._capacity is None:
+            return self.size
+        known = {each for each in tuple(self._uses) if not self.is_unknown(each, now)}
+        return max(0, self._capacity - len(known.union(without, self.in_use())))
 
     def for_own(self, now: int, without: Collection[int] = ()) -> int | None:
         """Return an unknown identifier for a new variable; None if the remaining ones are reserved."""
-        if self.left(now, without) <= self.size // _KEPT:
+        if self.left(now, without) <= min(self.size, self._capacity or self.size) // _KEPT:
             return None
         return next(iter(self.unknown(1, now, without)), None)
 
@@ -149,16 +179,20 @@ class IdentifierPool:
         if not reuse:
             return self.for_own(now, without)
         without = {*without, *self.in_use()}
+        full = not self._room(now, without)
         shared = self.size // 2 if self._timed and self.size >= 2 * _KEPT else self.size
         # Beacons may still have records of the last case's variables: their identifiers are used only if no others are
         # left.
         for settled in (True, False):
             for step in range(shared):
                 var_id = self.first + (self._next_for_peers + step) % shared
-                if var_id in without or var_id in self._kept:
+                if var_id in without or self._reserved(var_id):
+                    continue
+                if full and self.is_unknown(var_id, now):
                     continue
                 if self._can_be_created(var_id, now, creation_time, settled=settled):
                     self._next_for_peers += step + 1
+                    self._handed.add(var_id)
                     return var_id
         return None
 

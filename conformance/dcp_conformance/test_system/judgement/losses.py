@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.impairment import incidents_text
+from dcp_conformance.impaired_link import incidents_text
 from dcp_conformance.lower_tester import Incident, LowerTester
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
@@ -100,9 +100,16 @@ class Losses:
             faults.append(f"the kernel dropped {self.dropped} frames")
         if not numbers and (overtaken := self.overtaken()):
             faults.append(overtaken)
+        if self._sut.pixit.loss and (gaps := self.gaps()):
+            faults.append(f"{self.declared}: {gaps}")
         if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
         return faults
+
+    @property
+    def declared(self) -> str:
+        """That the link loses frames, as declared; empty if it does not."""
+        return f"the link loses {self._sut.pixit.loss:.0%} of the frames (pixit.loss)" if self._sut.pixit.loss else ""
 
     def lateness(self) -> str:
         """Describe delays after which a reaction may have come too late for a wait of the case; empty without any."""
@@ -122,7 +129,7 @@ class Losses:
         if not self.of_tester(numbers=numbers):
             return False
         # Frames that the kernel or an impaired link lost explain a gap; lateness does not.
-        return bool(self.dropped or self._incidents) or not self.gaps()
+        return bool(self.dropped or self._incidents or self._sut.pixit.loss) or not self.gaps()
 
     def gaps(self) -> str:
         """Describe the first gap between the sequence numbers of received beacons; empty if there is none."""

@@ -32,6 +32,10 @@ def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ..
     return tuple(each for each in requirements if requirement(each).holds_in(version)) or tuple(requirements)
 
 
+def _ids(requirements: Sequence[str]) -> tuple[str, ...]:
+    return tuple([identifier for each in requirements for identifier in each.split()])
+
+
 class Verdicts:
     """Records the checks of one case; a failed check with an excuse is inconclusive (:mod:`.excuses`)."""
 
@@ -74,7 +78,8 @@ class Verdicts:
     ) -> bool:
         """Record whether a condition holds, and return it. Does not stop the case.
 
-        ``requirements``: the decided ones, by default all of the case. ``frames``: the evidence.
+        ``requirements``: the decided ones, one or several in each string, by default all of the case. ``frames``: the
+        evidence.
 
         ``shown``: whether received octets prove a failure of this check; false: something is missing (see
         :mod:`.excuses`). A check that can fail in both ways gives the condition, as in ``shown=len(found) > allowed``.
@@ -91,7 +96,7 @@ class Verdicts:
         if holds:
             self._add(Verdict.PASS, expected, "", requirements, frames)
             return True
-        decided = requirements or self._case.requirements
+        decided = _ids(requirements) or self._case.requirements
         excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
         if excuse is None:
             # After a missing reaction, the next one may be a late answer to the earlier stimulus.
@@ -103,45 +108,14 @@ class Verdicts:
             self._add(Verdict.INCONCLUSIVE, expected, text, requirements, frames, disturbance=excuse.disturbance)
         return False
 
-    def require(
-        self,
-        holds: object,
-        expected: str,
-        observed: str = "",
-        /,
-        *requirements: str,
-        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
-        shown: object = False,
-        numbers: bool = False,
-    ) -> None:
-        """As :meth:`check`, and stop the case if the condition does not hold."""
-        if not self.check(holds, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers):
-            raise StopCase
-
-    def fail(
-        self,
-        expected: str,
-        observed: str,
-        /,
-        *requirements: str,
-        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
-        shown: object = False,
-        numbers: bool = False,
-        patience: float = 1.0,
-    ) -> NoReturn:
-        """Record a failure as :meth:`check` does, and stop the case."""
-        self.check(
-            False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers, patience=patience
-        )
-        raise StopCase
-
     def inconclusive(self, expected: str, observed: str, /, *requirements: str, overload: str = "") -> NoReturn:
         """Stop the case because it cannot be decided.
 
         ``overload``: why the machine of the tester is the reason. For this reason, and after losses and delays of the
         tester, the case is executed again.
         """
-        disturbance = overload or self._excuses.only_disturbance() or self._excuses.losses.held_up()
+        losses = self._excuses.losses
+        disturbance = overload or self._excuses.only_disturbance() or losses.held_up() or losses.declared
         if assumed := self._excuses.assumptions.text_of_all():
             observed, disturbance = f"{observed}; {assumed}", ""
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbance=disturbance)
@@ -184,11 +158,12 @@ class Verdicts:
 
     @property
     def may_be_late(self) -> str:
-        """Why all failures of this case may follow from delays; empty if one is proved, or there was none.
+        """Why all failures of this case may follow from delays or losses; empty if one is proved, or there was none.
 
         A frame that other data have overtaken can be received after the check that it would have changed.
         """
-        return self._excuses.losses.overtaken() or ("" if self._proved else self._excuses.losses.lateness())
+        losses = self._excuses.losses
+        return losses.overtaken() or ("" if self._proved else losses.declared or losses.lateness())
 
     @property
     def in_time(self) -> bool:
@@ -230,7 +205,7 @@ class Verdicts:
     ) -> None:
         table: Table = "robustness" if self._case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
-        decided = in_force(tuple(requirements) or self._case.requirements, self._codec.profile.spec_version)
+        decided = in_force(_ids(requirements) or self._case.requirements, self._codec.profile.spec_version)
         if disturbance:
             self._disturbances[len(self.checks)] = disturbance
         self.checks.append(Check(verdict, decided, expected, observed, marks, table, shown))

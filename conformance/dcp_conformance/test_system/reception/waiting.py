@@ -9,6 +9,7 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.judgement.losses import Losses
+from dcp_conformance.test_system.judgement.matchers import Matchers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
@@ -136,22 +137,16 @@ class Repetitions:
     ) -> list[Instruction]:
         """Check that exactly ``count`` distinct beacons since a mark have one record of this kind about a variable.
 
-        Returns the records. More records are a failure even after losses (``shown``), unless tester or implementation
-        were late, so the stimulus must not be repeated during the check. ``absent``: the requirement that decides if
+        Returns the records. More records are a failure even after losses, unless tester or implementation were late, so
+        the stimulus must not be repeated during the check. ``absent``: the requirement that decides if
         there is no record at all, if it is another one.
         """
         found = self._waiting.repeated(kind, var_id, since)
         if absent and not found:
             requirements = (absent,)
-        beacons = {id(each.heard) for each in found}
-        what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
-        came = f"{len(found)} records in {len(beacons)} beacons"
-        self._verdicts.check(
-            len(found) == len(beacons) == count,
-            what,
-            came,
-            *requirements,
-            frames=found[:32],
-            shown=len(found) > min(count, len(beacons)) and self._verdicts.in_time,
-        )
+        what, matchers = f"{kind.label} record of variable {var_id}", Matchers(self._verdicts)
+        if len({id(each.heard) for each in found}) < len(found):
+            matchers.one_each(found, f"at most one {what} in each beacon", *requirements)
+        else:
+            matchers.repeated(found, count, f"beacons with one {what}", *requirements)
         return found

@@ -141,11 +141,15 @@ class Services:
     def must(self, method: str, /, **params: Any) -> Answer:
         """Call a service that the case needs but does not test; inconclusive if it does not succeed."""
         answer = self.call(method, **params)
+        self.require_success(method, answer)
+        return answer
+
+    def require_success(self, method: str, answer: Answer) -> None:
+        """Stop as inconclusive unless a service that the case needs has succeeded."""
         expected = f"{method} succeeds, which this case needs"
         self.require_asked(answer, expected)
         if not answer.ok:
             self._verdicts.inconclusive(expected, str(answer))
-        return answer
 
     @contextmanager
     def deactivated(self, entity: str) -> Iterator[None]:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
-from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.constants import BP_MAX_PAYLOADS, QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.family import assign, attributes, before, instead, then
-from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.mutant import mutant, replaced
 from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import QUEUEING, Client, ModeRule, PayloadQueue, Places, Submission
 from dcp_stack.bp.services import NumberConfirm, RegisterConfirm
 from dcp_stack.bp.timing import BeaconSchedule
+from dcp_stack.bp.wire import BPWire
 
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
@@ -184,6 +185,47 @@ class Cuts(ClientList):
             room -= size(part)
             client.queue.sent()
         return chosen
+
+
+@mutant("hangs", "BP-TX-04 BP-FMT-02 BP-TXP-09",
+    "stops sending when the payloads for a beacon fit into it and their blocks, with headers, do not")  # fmt: skip
+class Hangs(ClientList):
+    _hung = False
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        if self._hung:
+            return []
+        chosen = super().take(room, len, most)
+        self._hung = sum(size(payload) for _, payload in chosen) > room
+        return [] if self._hung else chosen
+
+
+class AnyNumber(ClientList):
+    """Puts any number of blocks into a beacon."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return super().take(room, size, 1 << 16 if most == BP_MAX_PAYLOADS else most)
+
+
+class AnyNumberOfBlocks(BPWire):
+    """Encodes any number of blocks, and the last octet of their number."""
+
+    def build(self, seqno: int, network_id: int | None, blocks: Chosen) -> bytes:
+        octets = super().build(seqno, network_id, blocks[:BP_MAX_PAYLOADS])
+        if len(blocks) > BP_MAX_PAYLOADS:
+            octets += super().build(seqno, network_id, blocks[BP_MAX_PAYLOADS:])[self.header_size :]
+            for name, value in (("numPayloads", len(blocks) % 256), ("length", len(octets) - self.header_size)):
+                if place := self._places.get(name):
+                    field = value.to_bytes(place.stop - place.start, "big")
+                    octets = octets[: place.start] + field + octets[place.stop :]
+        return octets
+
+
+@mutant("any-number", "BP-TX-08", "puts more than 255 blocks into a beacon")
+class ManyBlocks(BeaconingProtocol):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        with replaced({ClientList: AnyNumber, BPWire: AnyNumberOfBlocks}):
+            super().__init__(*args, **kwargs)
 
 
 @mutant("overtakes", "BP-TX-06", "sends a later payload of a queue if the head does not fit")

@@ -53,6 +53,22 @@ report("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two"
 # fmt: on
 
 
+@mutant("exchanged-again", "SRP-TYP-03 SRP-SRV-03",
+    "exchanges the first two fields of safety data, and sends its last report again with new numbers")  # fmt: skip
+class ExchangedAgain(Air):
+    _last: Any = None
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        super().handle_timeout(now, wall)
+        if self._last is not None and self.srp is not None:
+            self.srp.update_safety_data(self._last, now=now, wall=wall)
+
+    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
+        self._last = report.s_data
+        first, second, *others = report.s_data.as_dict().values()
+        return msgspec.structs.replace(report, s_data=type(report.s_data)(second, first, *others))
+
+
 @mutant("beacon-number", "SRP-SEQ-01", "uses the sequence number of the beacon for the report in it")
 class NumberOfBeacon(Air):
     count = 0

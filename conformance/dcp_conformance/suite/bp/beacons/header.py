@@ -13,7 +13,7 @@ from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_
 
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     LIST,
@@ -24,6 +24,7 @@ from dcp_conformance.test_steps.bp_clients import (
     header_octets,
     largest_payload,
     registered,
+    room,
     some_beacons,
     talking,
 )
@@ -90,9 +91,7 @@ def check_field(bench: Bench, wires: Sequence[Wire], name: str, right: object, *
     show = (lambda value: f"{value:#x}") if isinstance(right, int) else repr
     observed = "" if not wrong else f"{show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
     frames = [each.heard for each in wrong[:8]]
-    bench.check(
-        not wrong, f"{name} is {show(right)} in every beacon", observed, *requirements, frames=frames, shown=True
-    )
+    bench.none(wrong, f"{name} is {show(right)} in every beacon", *requirements, seen=observed, frames=frames)
 
 
 def _judged(bench: Bench, wires: Sequence[Wire], *requirements: str) -> None:
@@ -101,7 +100,7 @@ def _judged(bench: Bench, wires: Sequence[Wire], *requirements: str) -> None:
         faults = judge(wire.heard.octets, bench.codec)
         for each in faults:
             if each.requirement in requirements:
-                bench.fail(each.expected, each.observed, each.requirement, frames=[wire.heard], shown=True)
+                bench.wrong(each.expected, each.observed, each.requirement, frames=[wire.heard])
         if faults and not (wire.heard.salvaged.clear and wire.heard.seqno is not None):
             bench.inconclusive("headers that can be separated from the blocks", f"{faults[0]}")
 
@@ -139,6 +138,7 @@ def _registered(bench: Bench) -> set[int] | None:
     "TC_BP_HDR_BV_02",
     "The fields of both headers have the order of the specification",
     requirements="BP-HDR-10",
+    alone=LISTENS,
     stimulus="payloads to send in every period",
     expect="plausible magicNo, senderId, numPayloads and block protocolIds at their offsets",
     window=8,
@@ -162,11 +162,8 @@ def order_of_fields(bench: Bench) -> None:
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of registered protocols, each with the announced length"
-    bench.check(
-        not strange, expected, f"blocks of protocols {sorted(ids)} in {len(strange)} beacons", frames=frames, shown=True
-    )
-    bare = [each.heard for each in wires if not each.counted]
-    bench.check(not bare, "numPayloads of at least 1", f"no block in {len(bare)} beacons", frames=bare[:8], shown=True)
+    bench.none(strange, expected, seen=f"blocks of protocols {sorted(ids)} in {len(strange)} beacons", frames=frames)
+    bench.none([each.heard for each in wires if not each.counted], "numPayloads of at least 1")
 
 
 @case(
@@ -193,13 +190,10 @@ def predefined_identifiers(bench: Bench) -> None:
     # The report may have been sent before the call was confirmed.
     wires = [read(bench, heard) for heard in bench.heard[start:]]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
-    width = bench.profile.types.protocol_id.width
-    bench.check(
-        width == 2, "a protocolId of two octets", f"{width} octets in the profile {bench.profile.name}", shown=True
-    )
-    bench.check(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", f"protocols {sorted(ids)}")
+    bench.answered(bench.profile.types.protocol_id.width, 2, "octets of a protocolId")
+    bench.some(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", seen=f"protocols {sorted(ids)}")
     if reports:
-        bench.check(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", f"protocols {sorted(ids)}")
+        bench.some(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", seen=f"protocols {sorted(ids)}")
 
 
 @case(
@@ -218,20 +212,18 @@ def sender(bench: Bench) -> None:
         for _ in range(3):
             bench.probes.probe()
     ids = {each.fields.get("senderId") for each in wires} | {heard.sender for heard in bench.heard}
-    bench.check(
-        len(ids - {None}) == 1, "one senderId in all beacons", f"{len(ids)} different ones", shown=len(ids - {None}) > 1
-    )
+    bench.some(ids - {None}, "a senderId in the beacons")
+    bench.proved(len(ids - {None}) <= 1, "one senderId in all beacons", f"{len(ids)} different ones")
     upper = bench.session.upper
     told = str(upper.about.get("nodeId", "")).replace(":", "").lower() if upper is not None else ""
     if told:
         heard = wires[0].fields.get("senderId")
         observed = heard.hex() if isinstance(heard, bytes) else f"{heard}"
-        bench.check(observed == told, f"senderId {told}", observed, "BP-HDR-03", frames=[wires[0].heard], shown=True)
+        bench.answered(observed, told, "senderId", "BP-HDR-03", frames=[wires[0].heard])
     # Frames from the same link address with another senderId: they are not attributed to the implementation.
     sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers.made}
     other = [heard for heard in bench.receiver.others if heard.source in sources]
-    expected = "no beacon with another senderId from the same link address"
-    bench.check(not other, expected, f"{len(other)} such beacons", frames=other[:8], shown=True)
+    bench.none(other, "no beacon with another senderId from the same link address")
 
 
 def _named_by_another(bench: Bench) -> None:
@@ -247,9 +239,7 @@ def _named_by_another(bench: Bench) -> None:
     answers = [each for each in bench.receiver.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
     if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
         observed = f"senderId {(answers[0].sender or b'').hex(':')} in the answer to a summary"
-        bench.fail(
-            f"senderId {bench.identifiers.sut_id.hex(':')}", observed, "BP-HDR-03", frames=answers[:4], shown=True
-        )
+        bench.wrong(f"senderId {bench.identifiers.sut_id.hex(':')}", observed, "BP-HDR-03", frames=answers[:4])
 
 
 @case(
@@ -265,7 +255,7 @@ def network(bench: Bench) -> None:
     wires = beacons_read(bench)
     check_field(bench, wires, "networkId", bench.sut.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
     width = bench.profile.types.network_id.width
-    bench.check(width >= 2, "a networkId of at least 16 bits", f"{8 * width} bits", "BP-HDR-05", shown=True)
+    bench.proved(width >= 2, "a networkId of at least 16 bits", f"{8 * width} bits", "BP-HDR-05")
 
 
 @case(
@@ -297,7 +287,7 @@ def length(bench: Bench) -> None:
         if size > _MAY_BE_PADDED:
             right.add(size - start)
         expected = f"length {' or '.join(map(str, sorted(right)))}"
-        if not bench.check(observed in right, expected, f"length {observed}", frames=[wire.heard], shown=True):
+        if not bench.proved(observed in right, expected, f"length {observed}", frames=[wire.heard]):
             return
 
 
@@ -317,7 +307,7 @@ def number_of_blocks(bench: Bench) -> None:
         number, size = wire.fields.get("numPayloads"), len(wire.heard.octets)
         observed = f"{len(wire.counted)} blocks, ending at octet {wire.end} of {size}"
         right = wire.whole and number == len(wire.counted) and (wire.end == size or size <= _MAY_BE_PADDED)
-        if not bench.check(right, f"{number} blocks that fill the beacon", observed, frames=[wire.heard], shown=True):
+        if not bench.proved(right, f"{number} blocks that fill the beacon", observed, frames=[wire.heard]):
             return
 
 
@@ -325,6 +315,7 @@ def number_of_blocks(bench: Bench) -> None:
     "TC_BP_FMT_BV_01",
     "No beacon is larger than BPPAR_MAXIMUM_PACKET_SIZE",
     requirements="BP-FMT-02",
+    alone=FILLS,
     stimulus="three clients submit the largest allowed payloads; VarDis has payloads to send at first, and later none",
     expect="no larger beacon; all payloads are sent, at the latest when no other block competes with them",
     window=20,
@@ -334,7 +325,7 @@ def number_of_blocks(bench: Bench) -> None:
 )
 def largest_beacons(bench: Bench) -> None:
     limit = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")
-    size = min(largest_payload(bench), limit - header_octets(bench) - block_header_octets(bench))
+    size = min(largest_payload(bench), room(bench) - block_header_octets(bench))
     with (
         BPClient(bench, ONCE, size=size) as one,
         BPClient(bench, ONCE, size=size) as two,
@@ -364,14 +355,7 @@ def largest_beacons(bench: Bench) -> None:
         if large and most <= limit + header_octets(bench):
             bench.reading("X04", "blocks-only")
             large = []
-        bench.check(
-            not large,
-            f"beacons of at most {limit} octets",
-            f"a beacon of {most} octets",
-            "BP-FMT-02",
-            frames=large,
-            shown=True,
-        )
+        bench.none(large, f"beacons of at most {limit} octets", "BP-FMT-02", seen=f"a beacon of {most} octets")
 
 
 def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
@@ -383,14 +367,14 @@ def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
     if waiting and last and all({prot_id for prot_id, _ in each.blocks} - ours for each in last):
         bench.info("Can a block in every beacon delay the largest payloads indefinitely?", "yes", "BP-TX-03")
         return
-    observed = f"{len(waiting)} not sent"
-    bench.check(not waiting, "each of the payloads is sent", observed, "BP-TX-04")
+    bench.complete(waiting, "each of the payloads is sent", "BP-TX-04")
 
 
 @case(
     "TC_BP_FMT_BV_02",
     "No beacon is sent without a payload",
     requirements="BP-FMT-03",
+    alone=LISTENS,
     stimulus="none for six periods",
     expect="no beacon without blocks; no beacon at all if all buffers are known to be empty",
     window=6,
@@ -403,15 +387,15 @@ def silence(bench: Bench) -> None:
         for each in heard
         if len(each.octets) <= header_octets(bench) or read(bench, each).fields.get("numPayloads") == 0
     ]
-    bench.check(not bare, "no beacon without blocks", f"{len(bare)} such beacons", frames=bare, shown=True)
+    bench.none(bare, "no beacon without blocks")
     upper = bench.session.upper
     if heard and upper is not None and LIST in upper.methods:
         # Each payload belongs to a registered client.
         clients = set(registered(bench))
-        strange = [each for each in heard if not {prot_id for prot_id, _ in each.blocks} & clients]
-        observed = f"{len(strange)} beacons without one"
-        bench.check(
-            not strange, "a block of a registered protocol in each beacon", observed, frames=strange[:8], shown=True
+        bench.every(
+            heard,
+            lambda each: {prot_id for prot_id, _ in each.blocks} & clients,
+            "a block of a registered protocol in each beacon",
         )
     if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]

@@ -16,7 +16,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -44,6 +44,8 @@ LEAST = 25
 MOST = 300
 #: A gap in the sequence numbers counts as missed beacons up to this number of beacons per typical interval elapsed.
 _MOST_MISSED = 2
+#: A beacon period in ms from which a third of it is no shorter than usual periods.
+_DIVISIBLE = 90
 
 
 class Estimate(NamedTuple):
@@ -75,7 +77,21 @@ def estimate(frames: Sequence[ReceivedBeacon]) -> Estimate:
         beacons += count
         intervals.append((after.time - before.time) / count)
     mean = (frames[-1].time - frames[0].time) / beacons
-    return Estimate(mean, QUANTILE * statistics.stdev(intervals) / math.sqrt(len(intervals)), intervals)
+    return Estimate(mean, QUANTILE * math.sqrt(_variance_of_sum(intervals)) / len(intervals), intervals)
+
+
+def _variance_of_sum(intervals: Sequence[float]) -> float:
+    """Return the variance of the sum of intervals, from that of one and the covariance of neighbours.
+
+    If each beacon varies around a point of a strict grid, a long interval precedes a short one, and the sum hardly
+    varies. Only a significant covariance counts, because the others are results of chance.
+    """
+    count, variance = len(intervals), statistics.variance(intervals)
+    mean = statistics.fmean(intervals)
+    covariance = sum((one - mean) * (two - mean) for one, two in itertools.pairwise(intervals)) / (count - 1)
+    if covariance > -QUANTILE * variance / math.sqrt(count):
+        return count * variance
+    return max(variance, count * variance + 2 * (count - 1) * covariance)
 
 
 def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
@@ -96,6 +112,11 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
     return None
 
 
+def _always(found: Estimate, limit: float) -> bool:
+    """Return whether all intervals exceed a limit in ns: a busy machine makes some of them long."""
+    return min(found.intervals) > limit
+
+
 def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
     """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
 
@@ -111,15 +132,16 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
             f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         )
         bench.inconclusive(expected, observed, *requirements)
-    if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
-        # An implementation on this machine has to wait for the processor in every period.
+    overload = bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
+    if low > period + tolerance and not _always(found, period + tolerance) and (why := overload):
+        # An implementation on this machine has to wait for the processor in many periods.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:
-        bench.check(False, expected, str(found), *requirements)
+        bench.some(False, expected, *requirements, seen=found)
     elif low < period - tolerance or high > period + tolerance:
         bench.inconclusive(expected, f"{found}: too few beacons for their variance", *requirements)
     else:
-        bench.check(True, f"{expected}; measured: {found}", "", *requirements)
+        bench.passed(f"{expected}; measured: {found}", *requirements)
 
 
 @case(
@@ -145,7 +167,7 @@ def mean_period(bench: Bench) -> None:
         observed = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
         bench.info("How much do the intervals between beacons vary?", observed, "BP-TX-02")
         if bench.sut.pics.jitter:
-            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", observed, "BP-TX-02")
+            bench.some(spread > 0.002, "intervals that vary, as the PICS claims", "BP-TX-02", seen=observed)
     check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
 
 
@@ -181,6 +203,7 @@ def other_period(bench: Bench, factor: float) -> None:
     "TC_BP_TX_TI_03",
     "Reports the time from the submission of a payload to its beacon",
     requirements="BP-TXP-07 BP-TX-02",
+    alone=LISTENS,
     stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
     expect="a beacon with each payload; the case reports the delays",
     window=20,
@@ -216,6 +239,30 @@ def delay_of_payloads(bench: Bench) -> None:
     needs=Needs(entities=(), ut=(*CLIENT, "BP-ListRegisteredProtocols"), when=no_indication),
 )
 def epoch_of_next_beacon(bench: Bench) -> None:
+    _check_epochs(bench, bench.sut.parameter(PERIOD))
+
+
+@case(
+    "TC_BP_PTI_TI_02",
+    "nextBeaconGenerationEpoch follows a changed beacon period",
+    requirements="BP-PTI-02 BP-PAR-02",
+    stimulus="BPPAR_BEACON_PERIOD is divided by three (multiplied by three if it is less than 90 ms); then as before",
+    expect="a median difference between epoch and next beacon of less than half of the new period",
+    window=40,
+    needs=Needs(
+        entities=(),
+        ut=(*CLIENT, "BP-ListRegisteredProtocols", "BP-SetParameter"),
+        when=no_indication,
+    ),
+)
+def epoch_after_change(bench: Bench) -> None:
+    period = bench.sut.parameter(PERIOD)
+    period = period // 3 if period >= _DIVISIBLE else 3 * period
+    with parameters_set(bench, "BP", **{PERIOD: period}):
+        _check_epochs(bench, period)
+
+
+def _check_epochs(bench: Bench, period_ms: int) -> None:
     with BPClient(bench, REPEAT) as client:
         offset, uncertainty = clock_offset(bench, client)
         client.transmit(client.payload())
@@ -223,11 +270,10 @@ def epoch_of_next_beacon(bench: Bench) -> None:
             client.until_sent()
         frames = client.frames()
         wait_for_notifications(bench)
-        told = indications(bench, TRANSMITTED, client.prot_id)
-        bench.require(told, "indications", "none in time", "BP-PTI-01")
+        told = bench.required(indications(bench, TRANSMITTED, client.prot_id), "indications", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
-        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
+        bench.answered(len(numbers), len(epochs), "indications with an epoch", stop=True)
         # The next beacon, of whichever client.
         following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
         pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]
@@ -236,7 +282,7 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                 "an indication for each of ten beacons", f"{len(told)} indications for {len(frames)} beacons"
             )
         errors = [(epoch - wall) / MS for epoch, wall in pairs]
-        middle, limit = statistics.median(errors), bench.sut.parameter(PERIOD) / 2
+        middle, limit = statistics.median(errors), period_ms / 2
         observed = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
         if abs(middle) >= limit:
             if abs(change := clock_offset(bench, client)[0] - offset) >= limit * MS + 2 * uncertainty:
@@ -246,8 +292,11 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                     "the offset of the implementation's clock",
                     f"it is known with an uncertainty of {uncertainty / MS:.1f} ms, as long as half a call; {observed}",
                 )
-        bench.check(
-            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", observed, frames=frames[:8]
+        bench.some(
+            abs(middle) < limit,
+            f"a median epoch within {limit:g} ms of the next beacon",
+            seen=observed,
+            frames=frames[:8],
         )
         bench.info("How precise is nextBeaconGenerationEpoch?", observed)
 
@@ -306,7 +355,9 @@ def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> No
         bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
     observed = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
-    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", observed, frames=back[:2])
+    bench.some(
+        max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", seen=observed, frames=back[:2]
+    )
 
 
 @case(

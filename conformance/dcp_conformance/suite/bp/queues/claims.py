@@ -39,16 +39,14 @@ def triggered(bench: Bench) -> None:
             client.transmit(payload)
             # Measured from the end of the call: the upper tester may have taken long.
             submitted = bench.now()
-            heard = client.until_sent(payload)
-            bench.require(heard is not None, "the payload is sent", "no beacon with it")
-            assert heard is not None
+            heard = bench.required(client.until_sent(payload), "the payload is sent")
             delays.append((heard.time - submitted) / bench.period)
     early = sum(delay < 0.5 for delay in delays)
     shown = ", ".join(f"{delay:.2f}" for delay in delays)
-    bench.check(
+    bench.some(
         early >= _EARLY,
         "at least 5 of 6 payloads within half a period of their submission",
-        f"sent after {shown} periods",
+        seen=f"sent after {shown} periods",
     )
 
 
@@ -77,7 +75,7 @@ def losses(bench: Bench) -> None:
         for name in set(entries[0]) & set(entries[1]) - _STANDARD
         if entries[0][name] != entries[1][name] and not name.lower().endswith(("age", "agems", "time"))
     )
-    bench.check(differing, "a field that differs between a neighbour with losses and one without", "no such field")
+    bench.some(differing, "a field that differs between a neighbour with losses and one without")
     bench.info("Which fields of the neighbour table show losses?", ", ".join(differing) or "none")
 
 
@@ -92,12 +90,10 @@ def losses(bench: Bench) -> None:
 )
 def settable(bench: Bench) -> None:
     before = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-    if not isinstance(before, int | float):
-        bench.fail(f"{_PERIOD} in the answer to BP-GetParameters", str(before), shown=True)
+    bench.proved(isinstance(before, int | float), f"{_PERIOD} in the answer to BP-GetParameters", before, stop=True)
     try:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before * 2)
-        after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-        bench.check(after == before * 2, f"{_PERIOD} is {before * 2}", str(after), shown=True)
+        bench.answered(bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD), before * 2, _PERIOD)
     finally:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before)
 
@@ -110,15 +106,12 @@ def settable(bench: Bench) -> None:
     expect="a status other than OK, and the old value",
     window=2,
     needs=Needs(
-        since=SpecVersion.V1_1,
-        entities=(),
-        ut=("BP-GetParameters", "BP-SetParameter"),
-        pics=("parameter_feedback",),
+        since=SpecVersion.V1_1, entities=(), ut=("BP-GetParameters", "BP-SetParameter"), pics=("parameter_feedback",)
     ),
 )
 def reported(bench: Bench) -> None:
     before = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
     answer = bench.call("BP-SetParameter", name=_PERIOD, value=0)
-    bench.check(not answer.ok, "a status other than OK", str(answer), shown=True)
+    bench.proved(not answer.ok, "a status other than OK", str(answer))
     after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-    bench.check(after == before, f"{_PERIOD} is still {before}", str(after), "BP-PAR-07", shown=True)
+    bench.answered(after, before, f"{_PERIOD}, as before", "BP-PAR-07")

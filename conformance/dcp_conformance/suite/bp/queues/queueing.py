@@ -5,9 +5,11 @@ Payloads are submitted between two beacons; the beacons sent afterwards show wha
 
 from __future__ import annotations
 
+from math import inf
+
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLEAR,
@@ -23,7 +25,6 @@ from dcp_conformance.test_steps.bp_clients import (
     needed,
     no_confirm,
 )
-from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
 
 V1_1 = SpecVersion.V1_1
@@ -49,7 +50,7 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
 )
 def droptail(bench: Bench) -> None:
-    full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04", "BP-TXP-09")
+    full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04 BP-TXP-09")
 
 
 @case(
@@ -64,7 +65,7 @@ def drophead(bench: Bench) -> None:
     full_queue(bench, DROPHEAD, [1, 2], "BP-QM-02", "BP-TXP-05")
 
 
-def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requirements: str) -> None:
+def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], dropping: str, statuses: str, /) -> None:
     """Submit one payload more than the queue holds; the payloads with the indices ``kept`` must be sent, in order."""
     with BPClient(bench, mode, entries=2) as client:
         start = bench.mark()
@@ -73,17 +74,12 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
         observed = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
         refused = [text for text in observed if not text.endswith(("STATUS-OK", "STATUS_OK"))]
         if no_confirm(bench) is None:
-            bench.check(not refused, "BP-STATUS-OK for each submission", f"{refused}", *requirements[1:], shown=True)
+            bench.none(refused, "BP-STATUS-OK for each submission", statuses)
         sent = [each for each in until_done(client, start) if each in payloads]
         right = [payloads[place] for place in kept]
         expected = f"payloads {listed(right, payloads)} in the beacons"
-        bench.check(
-            sent == right,
-            expected,
-            f"{listed(sent, payloads)}",
-            *requirements,
-            frames=client.frames(start),
-            shown=not part_of(sent, right),
+        bench.in_order(
+            sent, right, expected, f"{dropping} {statuses}", seen=listed(sent, payloads), frames=client.frames(start)
         )
 
 
@@ -102,13 +98,7 @@ def fifo(bench: Bench, mode: QueueingMode) -> None:
         payloads = client.submit(5)
         sent = [each for each in until_done(client, start) if each in payloads]
         expected = f"payloads {listed(payloads, payloads)}"
-        bench.check(
-            sent == payloads,
-            expected,
-            f"{listed(sent, payloads)}",
-            frames=client.frames(start),
-            shown=not part_of(sent, payloads),
-        )
+        bench.in_order(sent, payloads, expected, seen=listed(sent, payloads), frames=client.frames(start))
 
 
 @case(
@@ -132,14 +122,8 @@ def queue_length(bench: Bench, mode: QueueingMode) -> None:
 
         # A beacon in between would take a payload from the queue.
         numbers = between_beacons(bench, "submission of four payloads", act, client.in_frame)
-        bench.check(
-            numbers[0] == 0,
-            "an empty queue after registration",
-            f"{numbers[0]} payloads in it",
-            "BP-REG-06",
-            shown=True,
-        )
-        bench.check(numbers[1:] == [1, 2, 3, 3], "lengths 1, 2, 3, 3", f"{numbers[1:]}", "BP-QRY-02", shown=True)
+        bench.answered(numbers[0], 0, "payloads in the queue after registration", "BP-REG-06")
+        bench.answered(numbers[1:], [1, 2, 3, 3], "numbers of buffered payloads", "BP-QRY-02")
 
 
 @case(
@@ -160,15 +144,14 @@ def one_per_beacon(bench: Bench, mode: QueueingMode) -> None:
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")
         counts = [len(client.in_frame(each)) for each in frames]
-        bench.check(
-            max(counts) == 1, "at most one payload of the client in each beacon", f"{counts}", frames=frames, shown=True
-        )
+        bench.answered(max(counts), 1, "payloads of the client in each beacon", frames=frames)
 
 
 @case(
     "TC_BP_QM_BV_06",
     "With allowMultiplePayloads true several payloads of a client may share a beacon",
     requirements="BP-QM-08 BP-TX-03",
+    alone=LISTENS,
     stimulus="between two beacons, a client with allowMultiplePayloads true submits four small payloads",
     expect="each payload once and in order; the case reports how many share a beacon",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
@@ -179,18 +162,12 @@ def several_per_beacon(bench: Bench) -> None:
         start = bench.mark()
         payloads = client.submit(4)
         sent = [each for each in until_done(client, start) if each in payloads]
-        bench.check(
-            sent == payloads,
-            "each payload once, in order",
-            listed(sent, payloads),
-            "BP-QM-03",
-            shown=not part_of(sent, payloads),
-        )
+        bench.in_order(sent, payloads, "each payload once, in order", "BP-QM-03", seen=listed(sent, payloads))
         counts = [len(client.in_frame(each)) for each in client.frames(start)]
         bench.info("How many payloads of one client are in each beacon?", ", ".join(map(str, counts)))
         if bench.sut.pics.multiple_payloads:
-            bench.check(
-                max(counts, default=0) > 1, "several payloads in a beacon, as the PICS claims", f"{counts}", "BP-QM-08"
+            bench.some(
+                max(counts, default=0) > 1, "several payloads in a beacon, as the PICS claims", "BP-QM-08", seen=counts
             )
 
 
@@ -210,13 +187,7 @@ def once(bench: Bench) -> None:
         start = bench.mark()
         payloads = client.submit(2)
         sent = [each for each in until_done(client, start) if each in payloads]
-        bench.check(
-            sent == payloads[1:],
-            "payload B, once",
-            listed(sent, payloads),
-            frames=client.frames(start),
-            shown=not part_of(sent, payloads[1:]),
-        )
+        bench.in_order(sent, payloads[1:], "payload B, once", seen=listed(sent, payloads), frames=client.frames(start))
 
 
 @case(
@@ -234,14 +205,7 @@ def repeat(bench: Bench) -> None:
         client.transmit(old)
         for _ in range(5):
             client.until_sent()
-        repeated = client.sent()
-        bench.check(
-            len(repeated) >= 5,
-            "A in at least five beacons",
-            f"A in {len(repeated)} beacons",
-            "BP-QM-05",
-            frames=client.frames(),
-        )
+        bench.repeated(client.sent(), 5, "beacons with A", "BP-QM-05", most=inf, frames=client.frames())
         start = bench.mark()
         client.transmit(new)
         submitted = bench.now()
@@ -250,11 +214,10 @@ def repeat(bench: Bench) -> None:
         sent = client.sent(start)
         # A beacon that was in preparation when B was submitted may still contain A.
         late = [heard for heard in client.frames(start, after=submitted) if old in client.in_frame(heard)]
-        again = new in sent and old in sent[sent.index(new) :]
-        right = sent.count(new) >= 3 and not again and len(late) <= 1
-        bench.check(
-            right, "payload B only", listed(sent, [old, new]), frames=client.frames(start), shown=again or len(late) > 1
-        )
+        bench.none(late[1:], "A in at most one beacon after the submission of B")
+        after = sent[sent.index(new) :] if new in sent else []
+        bench.proved(old not in after, "only B after B", listed(sent, [old, new]), frames=client.frames(start))
+        bench.repeated(sent.count(new), 3, "beacons with B", most=inf, frames=client.frames(start))
 
 
 @case(
@@ -272,7 +235,9 @@ def repeat_in_every_beacon(bench: Bench) -> None:
         needed(bench, client.until_sent(), "a beacon with the payload")
         frames = bench.beacons(6)
         bare = [heard for heard in frames if not client.in_frame(heard)]
-        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} beacons in {2 * 6 + bench.sut.reaction:g} periods")
+        bench.some(
+            len(frames) == 6, "six beacons", seen=f"{len(frames)} beacons in {2 * 6 + bench.sut.reaction:g} periods"
+        )
         if len(bare) == len(frames):
             bench.inconclusive("further beacons with the payload", "all beacons have only blocks of other protocols")
         if bare:
@@ -280,7 +245,7 @@ def repeat_in_every_beacon(bench: Bench) -> None:
             bench.info(
                 "Does a payload of another protocol delay one of mode REPEAT?", f"yes, in {len(bare)} of 6 beacons"
             )
-        bench.check(True, "further beacons with the payload")
+        bench.passed("further beacons with the payload")
 
 
 @case(
@@ -310,26 +275,12 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
         numbers = (
             act() if mode is REPEAT else between_beacons(bench, "submission of two payloads", act, client.in_frame)
         )
-        bench.check(
-            numbers == [0, 1, 1],
-            "0, then 1, then 1 buffered payloads",
-            f"{numbers}",
-            "BP-QRY-03",
-            "BP-TXP-06",
-            shown=True,
-        )
+        bench.answered(numbers, [0, 1, 1], "buffered payloads", "BP-QRY-03 BP-TXP-06")
         if not client.frames(start):
             client.until_sent()
         needed(bench, client.frames(start), "a beacon with the payload")
         right, number = 1 if mode is REPEAT else 0, client.number()
-        bench.check(
-            number == right,
-            f"{right} buffered payloads after the transmission",
-            f"{number}",
-            "BP-QRY-03",
-            "BP-TX-05",
-            shown=True,
-        )
+        bench.answered(number, right, "buffered payloads after the transmission", "BP-QRY-03 BP-TX-05")
 
 
 @case(
@@ -347,11 +298,4 @@ def clear_repeated(bench: Bench) -> None:
         bench.must(CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         bench.wait(4)
-        frames = client.frames(after=quiet_from)
-        bench.check(
-            not frames,
-            "no further beacon with the payload",
-            f"{len(frames)} beacons with it",
-            frames=frames,
-            shown=True,
-        )
+        bench.none(client.frames(after=quiet_from), "no further beacon with the payload")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 from dcp_spec.constants import QueueingMode, SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
+    CLEAR,
     CLIENT,
     DEREGISTER,
     DROPHEAD,
@@ -15,13 +18,15 @@ from dcp_conformance.test_steps.bp_clients import (
     QUERY,
     REGISTER,
     BPClient,
+    needed,
     queue_mode,
 )
-from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
 
-V1_1 = SpecVersion.V1_1
+V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
 _MANY = 64
+_BEYOND_OCTET = 300
+_SWITCHES = ("BP-MGMT-Activate", "BP-MGMT-Deactivate")
 _BEYOND = 2
 """Number of payloads submitted in excess of the length of the queue."""
 
@@ -30,7 +35,10 @@ _BEYOND = 2
     "TC_BP_QM_BV_12",
     "A queue of 64 entries keeps 64 payloads in order; its mode determines which of more payloads it keeps ({variant})",
     requirements="BP-QM-03",
-    stimulus="between two beacons, a client with mode {variant} and maxEntries 64 submits 66 payloads",
+    stimulus=(
+        "between two beacons, a client with mode {variant} and maxEntries 64 (less if the PIXIT says so) submits two "
+        "payloads more"
+    ),
     expect="64 payloads, each sent once and in order: the first 64 (DROPTAIL) or the last 64 (DROPHEAD)",
     window=80,
     variants={
@@ -40,35 +48,81 @@ _BEYOND = 2
 )
 def many_entries(bench: Bench, mode: QueueingMode) -> None:
     dropping = "BP-QM-01" if mode is DROPTAIL else "BP-QM-02"
-    with BPClient(bench, mode, entries=_MANY) as client:
+    most = min(_MANY, bench.sut.capacity("queue_entries") or _MANY)
+    with BPClient(bench, mode, entries=most) as client:
 
         def act() -> tuple[list[bytes], int | None]:
-            payloads = [client.payload() for _ in range(_MANY + _BEYOND)]
+            payloads = [client.payload() for _ in range(most + _BEYOND)]
             for payload in payloads:
                 # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
                 client.transmit(payload, must=False)
             return payloads, client.number() if QUERY in bench.services.upper.methods else None
 
         start = bench.mark()
-        what = f"submission of {_MANY + _BEYOND} payloads"
-        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * _MANY)
+        what = f"submission of {most + _BEYOND} payloads"
+        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * most)
         if number is not None:
-            bench.check(
-                number == _MANY, f"{_MANY} buffered payloads", f"{number} buffered payloads", dropping, shown=True
-            )
-        bench.until_quiet(client.in_frame, 2 * _MANY, start)
+            bench.answered(number, most, "buffered payloads", dropping)
+        bench.until_quiet(client.in_frame, 2 * most, start)
         sent = [each for each in client.sent(start) if each in payloads]
-        kept = payloads[:_MANY] if mode is DROPTAIL else payloads[_BEYOND:]
+        kept = payloads[:most] if mode is DROPTAIL else payloads[_BEYOND:]
         places = [payloads.index(each) for each in sent]
         ordered = places == sorted(set(places))
-        observed = f"payloads {places}"
-        bench.check(ordered, "each payload at most once, in the order of submission", observed, "BP-QM-03", shown=True)
+        bench.proved(ordered, "each payload at most once, in the order of submission", f"payloads {places}", "BP-QM-03")
         wrong = sorted(places[index] for index, each in enumerate(sent) if each not in kept)
-        bench.check(
-            not wrong, "none of the payloads that a full queue drops", f"payloads {wrong}", dropping, shown=True
-        )
+        bench.none(wrong, "none of the payloads that a full queue drops", dropping)
         missing = [payloads.index(each) for each in kept if each not in sent]
-        bench.check(not missing, f"all {_MANY} payloads that the queue keeps", f"payloads {missing} not sent", dropping)
+        bench.complete(missing, f"all {most} payloads that the queue keeps", dropping)
+
+
+@case(
+    "TC_BP_QM_BV_16",
+    "A queue of 300 entries keeps 300 payloads ({variant})",
+    requirements="BP-QM-03",
+    stimulus=(
+        "while BP is inactive, a client with mode {variant} and maxEntries 300 submits 302 payloads; BP-MGMT-Activate, "
+        "and BP-ClearBuffer after three periods"
+    ),
+    expect="300 buffered payloads; the payloads sent are the first of those that the queue keeps, in order",
+    window=12,
+    variants={
+        name: Variant(
+            mode,
+            requirements=f"BP-QM-03 {own}",
+            needs=Needs(
+                V1_2,
+                entities=(),
+                ut=(*CLIENT, CLEAR, QUERY, *_SWITCHES),
+                when=lambda bench: bench.sut.lacks("queue_entries", _BEYOND_OCTET) or None,
+            ),
+        )
+        for name, mode, own in (("droptail", DROPTAIL, "BP-QM-01"), ("drophead", DROPHEAD, "BP-QM-02"))
+    },
+)
+def beyond_an_octet(bench: Bench, mode: QueueingMode) -> None:
+    dropping = "BP-QM-01" if mode is DROPTAIL else "BP-QM-02"
+    client = BPClient(bench, mode, size=8, entries=_BEYOND_OCTET)
+    answer = client.register()
+    if not answer.ok:
+        bench.info(f"Can maxEntries be {_BEYOND_OCTET}?", f"no: {answer}")
+        return
+    with ExitStack() as stack:
+        stack.callback(bench.call, DEREGISTER, protId=client.prot_id)
+        with bench.services.deactivated("BP"):
+            bench.wait(0.2)
+            start = bench.mark()
+            payloads = [client.payload(8) for _ in range(_BEYOND_OCTET + _BEYOND)]
+            for payload in payloads:
+                client.transmit(payload, must=False)
+            bench.answered(client.number(), _BEYOND_OCTET, "buffered payloads", dropping)
+        bench.wait(3)
+        bench.must(CLEAR, protId=client.prot_id)
+        sent = client.sent(start)
+        needed(bench, sent, "beacons with the payloads")
+        kept = payloads[:_BEYOND_OCTET] if mode is DROPTAIL else payloads[_BEYOND:]
+        places = [payloads.index(each) for each in sent]
+        first = [payloads.index(each) for each in kept[: len(sent)]]
+        bench.in_order(places, first, "the first payloads that the queue keeps, in order", "BP-QM-03", dropping)
 
 
 @case(
@@ -93,16 +147,10 @@ def unbounded(bench: Bench) -> None:
         start = bench.mark()
         what = f"submission of {count} payloads"
         payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * count)
-        bench.check(
-            number == count, f"{count} buffered payloads", f"{number} buffered payloads", "BP-QRY-02", shown=True
-        )
+        bench.answered(number, count, "buffered payloads", "BP-QRY-02")
         bench.until_quiet(client.in_frame, 2 * count, start)
         places = [payloads.index(each) for each in client.sent(start) if each in payloads]
-        ordered = places == list(range(count))
-        what = "each payload once, in the order of submission"
-        # A payload that is missing may have been in a beacon that was lost.
-        out_of_order = not part_of(places, range(count))
-        bench.check(ordered, what, f"payloads {places}", "BP-QM-03", shown=out_of_order)
+        bench.in_order(places, range(count), "each payload once, in the order of submission", "BP-QM-03", seen=places)
 
 
 @case(
@@ -110,11 +158,12 @@ def unbounded(bench: Bench) -> None:
     "maxEntries 1 and 64 are accepted; the case reports which larger values are",
     requirements="BP-REG-05 BP-QM-09",
     stimulus="BP-RegisterProtocol with maxEntries 1, 64, 255, 256, 65535 and 4294967295",
-    expect="BP-STATUS-OK for 1 and 64; the specification has no upper limit",
+    expect="BP-STATUS-OK for 1 and 64, or the capacity in the PIXIT; the specification has no upper limit",
     needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def bounds_of_entries(bench: Bench) -> None:
-    for entries in (1, _MANY):
+    declared = bench.sut.capacity("queue_entries")
+    for entries in (1, min(_MANY, declared or _MANY)):
         client = BPClient(bench, queue_mode(bench), entries=entries)
         if bench.expect_status(OK, REGISTER, **client.registration).ok:
             bench.must(DEREGISTER, protId=client.prot_id)

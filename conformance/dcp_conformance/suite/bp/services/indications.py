@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import DENIED, Needs, Variant, case
+from dcp_conformance.model.case import DENIED, LISTENS, REPLACES, Needs, Variant, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -34,7 +34,6 @@ from dcp_conformance.test_steps.bp_clients import (
     unused_protocol_id,
     wait_for_notifications,
 )
-from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
@@ -75,30 +74,23 @@ def unchanged(bench: Bench, size: int) -> None:
     octets = pattern(min(size, _largest(bench) if size <= _SMALL else _registrable(bench)), size % 251)
     with BPClient(bench, ONCE, size=len(octets)) as client:
         bench.peer().send(Block(client.prot_id, octets))
-        received = client.until_received()
-        bench.require(received, "an indication of the payload", "no indication in time", "BP-RXP-01", "UWB-06")
-        bench.check(
-            received[0] == octets,
-            f"a payload of {len(octets)} octets, as sent",
-            f"{len(received[0])} octets: {received[0][:32].hex()}...",
-            "BP-RXP-01",
-            shown=True,
-        )
+        received = bench.required(client.until_received(), "an indication of the payload", "BP-RXP-01 UWB-06")
+        bench.answered(received[0], octets, "the payload, as sent", "BP-RXP-01")
         observed = next(
             each.params.get("length")
             for each in bench.receiver.notifications
             if each.params.get("protId") == client.prot_id
         )
-        bench.check(observed == len(octets), f"length {len(octets)}", f"length {observed}", "BP-RXP-01", shown=True)
+        bench.answered(observed, len(octets), "length", "BP-RXP-01")
         bench.wait(_AFTERWARDS)
-        count = len(client.received())
-        bench.check(count == 1, "one indication", f"{count} indications", "BP-RXP-02", shown=count > 1)
+        bench.repeated(len(client.received()), 1, "indications", "BP-RXP-02")
 
 
 @case(
     "TC_BP_RXP_BV_02",
     "Payloads are indicated to the client of their protocol and to no other",
     requirements="BP-RXP-03 BP-RXP-02",
+    alone=LISTENS,
     stimulus="two clients; one beacon with a block for each, and one with a block of an unregistered protocol",
     expect="each client gets one indication, of its own payload",
     needs=_RECEPTION,
@@ -119,27 +111,15 @@ def right_client(bench: Bench) -> None:
             known = [first, second, pattern(9, 2)]
             observed = f"indications of payloads {listed(received, known)}"
             mine = f"one indication of payload {listed([right], known)}"
-            bench.check(
-                right in received and set(received) == {right},
-                mine,
-                observed,
-                "BP-RXP-03",
-                shown=set(received) - {right},
-            )
-            bench.check(received.count(right) == 1, mine, observed, "BP-RXP-02", shown=received.count(right) > 1)
+            bench.only(set(received), {right}, mine, "BP-RXP-03", seen=observed)
+            bench.repeated(received.count(right), 1, mine, "BP-RXP-02")
         ours = {one.prot_id, two.prot_id}
         strange = [
             each
             for each in bench.receiver.notifications
             if each.method.startswith("BP-R") and each.params.get("protId") not in ours
         ]
-        bench.check(
-            not strange,
-            "no indication for an unregistered protocol",
-            f"{len(strange)} indications",
-            "BP-RXP-03",
-            shown=True,
-        )
+        bench.none(strange, "no indication for an unregistered protocol", "BP-RXP-03")
 
 
 #: Number of times the blocks are sent until all of them are indicated.
@@ -181,13 +161,8 @@ def each_block(bench: Bench, layout: Sequence[int]) -> None:
         for client, right in wanted.items():
             received = received_of(client)
             expected = f"indications of blocks {listed(right, known)}"
-            bench.check(
-                received == right,
-                expected,
-                f"indications of blocks {listed(received, known)}",
-                "BP-RX-07",
-                "BP-RX-08",
-                shown=not part_of(received, right),
+            bench.in_order(
+                received, right, expected, "BP-RX-07 BP-RX-08", seen=f"indications of blocks {listed(received, known)}"
             )
 
 
@@ -210,7 +185,7 @@ def while_registered(bench: Bench) -> None:
         peer.send(Block(client.prot_id, early))
         # The beacon and the service request reach the implementation through different channels: without a pause their
         # order is undefined.
-        bench.wait(0.5)
+        bench.wait(bench.sut.processing)
         with client:
             peer.send(Block(client.prot_id, right))
             client.until_received()
@@ -218,25 +193,20 @@ def while_registered(bench: Bench) -> None:
         peer.send(Block(client.prot_id, late))
         bench.wait(_AFTERWARDS)
         received = client.received()
-        bench.check(
-            right in received,
-            "an indication of the payload received while the client is registered",
-            "no indication",
-            "BP-REG-10",
+        bench.some(
+            right in received, "an indication of the payload received while the client is registered", "BP-REG-10"
         )
-        bench.check(
+        bench.proved(
             early not in received,
             "no indication of the payload received before registration",
             "an indication of it",
             "BP-REG-10",
-            shown=True,
         )
-        bench.check(
+        bench.proved(
             late not in received,
             "no indication of the payload received after deregistration",
             "an indication of it",
             "BP-DRG-04",
-            shown=True,
         )
     finally:
         bench.call("UT-Subscribe")
@@ -257,9 +227,7 @@ def empty_block(bench: Bench) -> None:
         peer.send(Block(client.prot_id, b""))
         peer.send(Block(client.prot_id, octets))
         until(bench, lambda: octets in client.received())
-        bench.check(
-            octets in client.received(), "an indication of the payload in the next beacon", "no indication of it"
-        )
+        bench.some(octets in client.received(), "an indication of the payload in the next beacon")
         bench.reading("X46", "deliver-empty" if b"" in client.received() else "ignore-empty")
 
 
@@ -278,13 +246,8 @@ def larger_than_own(bench: Bench) -> None:
         peer.send(Block(client.prot_id, small))
         until(bench, lambda: small in client.received())
         received = client.received()
-        whole = all(each in (large, small) for each in received)
-        bench.check(
-            whole and small in received,
-            "complete payloads, among them that of the next beacon",
-            f"indications of {[each.hex() for each in received]}",
-            shown=not whole,
-        )
+        bench.every(received, lambda each: each in (large, small), "indications of complete payloads")
+        bench.some(small in received, "an indication of the payload of the next beacon")
         bench.reading("X49", "deliver-larger" if large in received else "discard-larger")
 
 
@@ -292,6 +255,7 @@ def larger_than_own(bench: Bench) -> None:
     "TC_BP_RXP_BV_05",
     "After {variant} was deregistered, its identifier belongs to the client that registers it",
     requirements="BP-RXP-03 BP-DRG-05",
+    alone=REPLACES,
     stimulus=(
         "BP-DeregisterProtocol for the identifier of {variant}; the tester registers it; a beacon with a block of it"
     ),
@@ -316,7 +280,7 @@ def taken_over(bench: Bench, prot_id: int) -> None:
             octets = pattern(9)
             bench.peer().send(Block(prot_id, octets))
             received = client.until_received()
-            bench.check(octets in received, "an indication of the payload", "no indication in time")
+            bench.some(octets in received, "an indication of the payload")
     finally:
         if deregistered:
             bring_back(bench)
@@ -357,16 +321,15 @@ def both(*conditions: Callable[[Bench], str | None] | None) -> Callable[[Bench],
 def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
         early = len(indications(bench, TRANSMITTED, client.prot_id))
-        bench.check(early == 0, "no indication before a payload is submitted", f"{early} indications", shown=True)
+        bench.answered(early, 0, "indications before a payload is submitted")
         client.transmit(client.payload())
         heard = client.until_sent()
         needed(bench, heard, "a beacon with the payload")
         told = until(bench, lambda: bool(indications(bench, TRANSMITTED, client.prot_id)), 1)
-        bench.check(told, "an indication of the transmission", "no indication within one period after the beacon")
+        bench.some(told, "an indication of the transmission", seen="no indication within one period after the beacon")
         if mode is not REPEAT:
             bench.wait(_AFTERWARDS)
-            count = len(indications(bench, TRANSMITTED, client.prot_id))
-            bench.check(count == 1, "one indication for one payload", f"{count} indications", shown=count > 1)
+            bench.repeated(len(indications(bench, TRANSMITTED, client.prot_id)), 1, "indications for one payload")
 
 
 @case(
@@ -386,7 +349,7 @@ def told_of_each_repetition(bench: Bench) -> None:
         frames = client.frames()
         wait_for_notifications(bench)
         count, most = len(indications(bench, TRANSMITTED, client.prot_id)), len(client.frames())
-        bench.require(len(frames) >= 6, "six beacons with the payload", f"{len(frames)}", "BP-QM-05")
+        bench.required(len(frames) >= 6, "six beacons with the payload", "BP-QM-05", seen=len(frames))
         near = len(frames) - 1 <= count <= most + 1
         beacons = f"{len(frames)} beacons" if most == len(frames) else f"{len(frames)} to {most} beacons"
-        bench.check(near, f"one indication for each of {beacons}", f"{count} indications", frames=frames)
+        bench.some(near, f"one indication for each of {beacons}", seen=f"{count} indications", frames=frames)

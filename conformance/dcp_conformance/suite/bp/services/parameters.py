@@ -39,11 +39,10 @@ def values(bench: Bench) -> dict[str, Any]:
     """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case without them."""
     answer = bench.call(GET)
     bench.services.require_asked(answer, f"an answer to {GET}")
-    bench.require(answer.ok, f"a positive answer to {GET}", str(answer), "BP-PAR-01")
+    bench.required(answer.ok, f"a positive answer to {GET}", "BP-PAR-01", seen=answer)
     found = answer.result.get("parameters")
-    if not isinstance(found, dict):
-        bench.fail(f"parameters in the answer to {GET}", f"parameters: {found!r}", "BP-PAR-01", shown=True)
-    return found
+    names = found if isinstance(found, dict) else None
+    return bench.present(names, f"parameters in the answer to {GET}", "BP-PAR-01", seen=f"parameters: {found!r}")
 
 
 def changed(bench: Bench, name: str) -> int:
@@ -74,25 +73,23 @@ _EACH = {
 )
 def set_and_get(bench: Bench, name: str) -> None:
     before = values(bench)
-    bench.require(
-        name in before, f"{name} in the answer to {GET}", f"only {', '.join(before)}", "BP-PAR-01", shown=True
-    )
+    bench.proved(name in before, f"{name} in the answer to {GET}", f"only {', '.join(before)}", "BP-PAR-01", stop=True)
     new = changed(bench, name)
     answer = bench.call(SET, name=name, value=new)
     try:
-        bench.check(answer.ok, f"a positive answer when {name} is set to {new}", str(answer), shown=True)
+        bench.proved(answer.ok, f"a positive answer when {name} is set to {new}", answer)
         after = values(bench)
     finally:
         bench.call(SET, name=name, value=before[name])
     observed = after.get(name)
     # The resolution of times is up to the implementation.
     near = name == PERIOD and isinstance(observed, int | float) and abs(observed - new) < abs(before[name] - new) / 2
-    bench.check(observed == new or near, f"{name} is {new}", f"{observed}", shown=True)
+    bench.proved(observed == new or near, f"{name} is {new}", observed)
     # The answer may also have other fields, which may depend on the changed parameter.
     others = [
         each for each in (PERIOD, SIZE, NETWORK, UWB_SIZE) if each != name and after.get(each) != before.get(each)
     ]
-    bench.check(not others, "the other parameters as before", f"{others} changed", shown=True)
+    bench.none(others, "the other parameters as before")
 
 
 _WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
@@ -146,14 +143,9 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
             after = values(bench)
         finally:
             bench.call(SET, name=name, value=first[name])
-        bench.check(
-            after.get(name) == before.get(name),
-            f"{name} {before.get(name)}, as before",
-            f"{after.get(name)}",
-            shown=True,
-        )
+        bench.answered(after.get(name), before.get(name), f"{name}, as before")
         frames = [bench.until(client.in_frame) for _ in range(3)]
-        bench.check(all(frames), "beacons continue", "no further beacons in time", "BP-PAR-06")
+        bench.some(all(frames), "beacons continue", "BP-PAR-06")
         bench.info(
             "Does the confirm report the rejection of a parameter value?",
             "no" if answer.ok else str(answer),
@@ -173,11 +165,9 @@ def size_bounds(bench: Bench) -> None:
     known = values(bench)
     if UWB_SIZE in known:
         answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
-        bench.check(
-            answer.ok, f"{SIZE} can be set to {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), "BP-PAR-04", shown=True
-        )
+        bench.proved(answer.ok, f"{SIZE} can be set to {UWB_SIZE}, {known[UWB_SIZE]}", answer, "BP-PAR-04")
         if known.get(SIZE) == known[UWB_SIZE]:
-            bench.check(True, f"the bearer's maximum as initial value of {SIZE}", "", "BP-PAR-14")
+            bench.passed(f"the bearer's maximum as initial value of {SIZE}", "BP-PAR-14")
         else:
             bench.info(
                 f"Is the initial value of {SIZE} the bearer's maximum?", f"no, it is {known.get(SIZE)}", "BP-PAR-14"
@@ -188,7 +178,7 @@ def size_bounds(bench: Bench) -> None:
         bench.reading("X05", "literal-minimum")
     else:
         answer = bench.call(SET, name=SIZE, value=least + 1)
-        if bench.check(answer.ok, f"{SIZE} can be set to {least} or {least + 1}", str(answer), "BP-PAR-04", shown=True):
+        if bench.proved(answer.ok, f"{SIZE} can be set to {least} or {least + 1}", answer, "BP-PAR-04"):
             bench.reading("X05", "usable-minimum")
     bench.call(SET, name=SIZE, value=known.get(SIZE))
 
@@ -215,9 +205,9 @@ def smaller_beacons(bench: Bench) -> None:
             if large and max(len(each.octets) for each in large) <= size + header_octets(bench):
                 bench.reading("X04", "blocks-only")
                 large = []
-            bench.require(heard, "beacons after the change", "none in time", "BP-PAR-02")
+            bench.required(heard, "beacons after the change", "BP-PAR-02")
             observed = f"{len(large)} of {len(heard)} beacons are larger"
-            bench.check(not large, f"beacons of at most {size} octets", observed, "BP-PAR-02", frames=large, shown=True)
+            bench.none(large, f"beacons of at most {size} octets", "BP-PAR-02", seen=observed)
             # In 1.0, the limit assumes another header size.
             counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
             third = BPClient(bench, ONCE, size=size - counted - block_header_octets(bench) + 1)
@@ -247,7 +237,7 @@ def other_network(bench: Bench) -> None:
             peer.send(peer.summary(friend, 1), network_id=new)
             # The tester's client may fill every other beacon: the number of blocks in a beacon is free.
             asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend, 2 * bench.sut.reaction)
-            bench.check(asked, "a beacon of the new network is processed", "not processed", "BP-PAR-05", "BP-RX-05")
+            bench.some(asked, "a beacon of the new network is processed", "BP-PAR-05 BP-RX-05")
             heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
             numbers = {
                 each.beacon.bp.network_id
@@ -255,18 +245,9 @@ def other_network(bench: Bench) -> None:
                 if each.beacon is not None and each.beacon.bp is not None and each.salvaged.clear
             }
             observed = f"beacons of networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
-            bench.check(
-                numbers == {new},
-                f"beacons of network {new:#x}",
-                observed,
-                "BP-HDR-04",
-                "BP-HDR-05",
-                "BP-PAR-02",
-                shown=numbers - {new},
-            )
+            bench.only(numbers, {new}, f"beacons of network {new:#x}", "BP-HDR-04 BP-HDR-05 BP-PAR-02", seen=observed)
             found = bench.instructions(ICType.REQUEST_VARCREATES, stranger)
-            expected = "a beacon of the old network is dropped"
-            bench.check(not found, expected, "processed", "BP-RX-05", "BP-PAR-05", frames=found, shown=True)
+            bench.none(found, "a beacon of the old network is dropped", "BP-RX-05 BP-PAR-05")
 
 
 @case(
@@ -286,7 +267,7 @@ def default_period(bench: Bench) -> None:
         if not near and period == configured:
             bench.info(f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {period} ms")
         else:
-            bench.check(near, f"{PERIOD} of about 100 ms", f"{period} ms", shown=True)
+            bench.proved(near, f"{PERIOD} of about 100 ms", f"{period} ms")
         return
     with talking(bench):
         found = estimate(some_beacons(bench, 12))
@@ -296,7 +277,7 @@ def default_period(bench: Bench) -> None:
             f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {configured:g} ms: {found}"
         )
     else:
-        bench.check(80 <= mean <= 120, "a mean interval of about 100 ms", f"{found}")
+        bench.some(80 <= mean <= 120, "a mean interval of about 100 ms", seen=found)
 
 
 @case(
@@ -316,5 +297,4 @@ def fixed_values(bench: Bench) -> None:
         value = before[name]
         other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
         bench.call(SET, name=name, value=other)
-        after = values(bench).get(name)
-        bench.check(after == value, f"{name} {value}, as before", f"{after}", "BP-PAR-08", "BP-PAR-09", shown=True)
+        bench.answered(values(bench).get(name), value, f"{name}, as before", "BP-PAR-08 BP-PAR-09")

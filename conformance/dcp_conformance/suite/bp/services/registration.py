@@ -62,16 +62,13 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 def register(bench: Bench, mode: QueueingMode) -> None:
     client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester of this mode")
     before = bench.lower.wall()
-    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", "BP-REG-12", **client.registration)
+    answer = bench.expect_status(OK, REGISTER, "BP-REG-01 BP-REG-06 BP-REG-12", **client.registration)
     after = bench.lower.wall()
     if not answer.ok:
         return
     entry = client.entry()
     bench.call(DEREGISTER, protId=client.prot_id)
-    if (
-        not bench.check(entry is not None, "the client in the list", "not in the list", "BP-REG-06", shown=True)
-        or entry is None
-    ):
+    if not bench.proved(entry is not None, "the client in the list", "not in the list", "BP-REG-06") or entry is None:
         return
     names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
     if bench.features.allow_multiple_payloads and mode.is_queue:
@@ -79,26 +76,11 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
     for listed, given in names.items():
         right, observed = client.registration[given], entry.get(listed)
-        bench.check(
-            observed == right,
-            f"{listed} {right!r}, as registered",
-            f"{observed!r}",
-            "BP-LST-01",
-            "BP-LST-03",
-            "BP-REG-01",
-            "BP-REG-12",
-            shown=True,
-        )
+        bench.answered(observed, right, f"{listed}, as registered", "BP-LST-01 BP-LST-03 BP-REG-01 BP-REG-12")
     stamp, margin = entry.get("timeStampRegistration"), round(bench.sut.pixit.clock_tolerance_ms * MS)
     near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
-    bench.check(
-        near,
-        "the time of the request in timeStampRegistration",
-        f"{stamp!r}",
-        "BP-REG-06",
-        "BP-LST-01",
-        "BP-LST-03",
-        shown=True,
+    bench.proved(
+        near, "the time of the request in timeStampRegistration", f"{stamp!r}", "BP-REG-06 BP-LST-01 BP-LST-03"
     )
 
 
@@ -118,13 +100,7 @@ def own_identifier(bench: Bench) -> None:
         if heard is None or heard.sender is None:
             bench.inconclusive("a beacon with the payload", "none in time")
         same = told.replace(":", "").lower() == heard.sender.hex()
-        bench.check(
-            same,
-            f"ownNodeIdentifier {heard.sender.hex(':')}, as in senderId",
-            f"{told}",
-            frames=[heard],
-            shown=True,
-        )
+        bench.proved(same, f"ownNodeIdentifier {heard.sender.hex(':')}, as in senderId", told, frames=[heard])
 
 
 @case(
@@ -202,13 +178,13 @@ def any_identifier(bench: Bench, prot_id: int | None) -> None:
     bench.services.require_asked(answer, "BP-STATUS-OK for the registration")
     if answer.is_status(ALREADY_REGISTERED):
         bench.inconclusive("an unregistered protocol identifier", f"{client.prot_id} is already registered")
-    bench.require(answer.is_status(OK), "BP-STATUS-OK for the registration", str(answer), shown=True)
+    bench.proved(answer.is_status(OK), "BP-STATUS-OK for the registration", answer, stop=True)
     try:
         client.transmit(client.payload())
-        bench.check(client.until_sent(), "a beacon with the payload", "none in time")
+        bench.some(client.until_sent(), "a beacon with the payload")
         octets = bytes(range(7))
         bench.peer().send(Block(client.prot_id, octets))
-        bench.check(octets in client.until_received(), "an indication of the block", "none in time")
+        bench.some(octets in client.until_received(), "an indication of the block")
     finally:
         bench.call(DEREGISTER, protId=client.prot_id)
 
@@ -265,19 +241,16 @@ def no_entries(bench: Bench, mode: QueueingMode) -> None:
 )
 def already_registered(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=20) as client:
-        payload = client.payload()
-        client.transmit(payload)
+        client.transmit(client.payload())
         before = client.fields()
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
-        after = client.fields()
-        bench.check(after == before, f"the registration unchanged: {before}", f"{after}", shown=True)
-        number = client.number()
-        bench.check(number == 1, "one buffered payload, as before", f"{number} buffered payloads", shown=True)
+        bench.answered(client.fields(), before, "the registration unchanged")
+        bench.answered(client.number(), 1, "buffered payloads, as before")
         start = bench.mark()
         client.until_sent()
         bench.beacons(1)
-        bench.check(len(client.frames(start)) >= 1, "further beacons with the payload", "none in time")
+        bench.some(len(client.frames(start)) >= 1, "further beacons with the payload")
 
 
 _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
@@ -290,11 +263,7 @@ _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
     ),
     "too-large-and-no-entries": (
         ILLEGAL_SIZE,
-        lambda bench: {
-            "maxPayloadSize": largest_payload(bench) + 1,
-            "queueingMode": str(DROPTAIL),
-            "maxEntries": 0,
-        },
+        lambda bench: {"maxPayloadSize": largest_payload(bench) + 1, "queueingMode": str(DROPTAIL), "maxEntries": 0},
     ),
 }
 
@@ -349,10 +318,10 @@ def unknown_mode(bench: Bench, mode: str) -> None:
         return
     if not answer.ok:
         # An internal error of the implementation is not a rejection.
-        if bench.check(answer.code != INTERNAL_ERROR, "a rejection of the registration", str(answer), "BP-QM-06"):
+        if bench.some(answer.code != INTERNAL_ERROR, "a rejection of the registration", "BP-QM-06", seen=answer):
             bench.reading("X06", "refuse-at-registration")
         return
-    cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)
+    cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06 BP-CLR-04", protId=client.prot_id)
     if cleared.is_status(UNKNOWN_MODE):
         bench.reading("X06", "refuse-at-clear")
     bench.call(DEREGISTER, protId=client.prot_id)

@@ -9,7 +9,7 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLEAR,
@@ -28,9 +28,9 @@ from dcp_conformance.test_steps.bp_clients import (
     BPClient,
     block_header_octets,
     each_mode,
-    header_octets,
     largest_payload,
     no_confirm,
+    room,
     unused_protocol_id,
 )
 from dcp_conformance.test_system.bench import Bench
@@ -62,12 +62,11 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
     bench.expect_status(UNKNOWN_PROTOCOL, TRANSMIT, protId=client.prot_id, payload=payload.hex())
     with client:
         bench.wait(2)
-    bench.check(
-        not client.sent(),
+    bench.none(
+        client.sent(),
         "the payload is not sent, not even after a registration",
-        "the payload was sent",
         "BP-REG-10",
-        shown=True,
+        seen="the payload was sent",
     )
 
 
@@ -75,6 +74,7 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
     "TC_BP_TXP_BV_01",
     "A payload of exactly maxPayloadSize octets is accepted and sent unchanged ({variant})",
     requirements="BP-TXP-02 BP-FMT-01",
+    alone=FILLS,
     stimulus="BP-TransmitPayload with exactly maxPayloadSize octets: {variant}",
     expect="BP-STATUS-OK and a beacon with exactly these octets",
     needs=_TRANSMIT,
@@ -84,14 +84,13 @@ def full_size(bench: Bench, size: int | None) -> None:
     if size is None:
         # Before 1.1, the limit for registrations ignores the BP header, so a client may register payloads too large to
         # be sent.
-        fits = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+        fits = room(bench) - block_header_octets(bench)
         size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
     with BPClient(bench, ONCE, size=size) as client:
         payload = client.payload(size)
         bench.expect_status(OK, TRANSMIT, "BP-TXP-02", protId=client.prot_id, payload=payload.hex())
-        heard = client.until_sent()
-        bench.require(heard, "a beacon with the payload", "none in time", "BP-TXP-02")
-        bench.check(client.sent() == [payload], "the payload unchanged", "another payload", "BP-FMT-01", shown=True)
+        bench.required(client.until_sent(), "a beacon with the payload", "BP-TXP-02")
+        bench.answered(client.sent(), [payload], "the payload unchanged", "BP-FMT-01")
 
 
 @case(
@@ -109,15 +108,13 @@ def too_large(bench: Bench, more: int) -> None:
         answer = bench.call(TRANSMIT, protId=client.prot_id, payload=octets.hex())
         if no_confirm(bench) is None:
             bench.services.check_status(answer, (TOO_LARGE,), TRANSMIT)
-        number = client.number()
-        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
+        bench.answered(client.number(), 0, "buffered payloads")
         bench.wait(2)
-        bench.check(
-            not client.sent(),
+        bench.none(
+            client.sent(),
             "no beacon with a payload of the client",
-            "at least one such beacon",
+            seen="at least one such beacon",
             frames=client.frames(),
-            shown=True,
         )
 
 
@@ -143,15 +140,10 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
         before, answer, after = result
         if no_confirm(bench) is None:
             bench.services.check_status(answer, (EMPTY,), TRANSMIT)
-        bench.check(after == before, f"{before} buffered payloads, as before", f"{after} buffered payloads", shown=True)
+        bench.answered(after, before, "buffered payloads, as before")
         if mode is REPEAT:
             start = bench.mark()
-            bench.check(
-                client.until_sent(),
-                "the payload is still repeated",
-                "no further beacon with it in time",
-                frames=bench.heard[start:],
-            )
+            bench.some(client.until_sent(), "the payload is still repeated", frames=bench.heard[start:])
 
 
 @case(
@@ -167,8 +159,7 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
         client.transmit(client.payload())
         bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
-        number = client.number()
-        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
+        bench.answered(client.number(), 0, "buffered payloads")
 
 
 @case(
@@ -187,8 +178,7 @@ def empty_payload_for_queue(bench: Bench) -> None:
         bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
-        missing = [payload.hex() for payload in payloads if payload not in sent]
-        bench.check(not missing, "all four payloads are sent", f"{len(missing)} of them not sent")
+        bench.complete([payload.hex() for payload in payloads if payload not in sent], "all four payloads are sent")
 
 
 @case(
@@ -209,9 +199,7 @@ def unbounded_queue(bench: Bench) -> None:
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
         places = [payloads.index(each) for each in sent if each in payloads]
-        bench.check(
-            places == list(range(8)), "payloads 0 to 7, in order", f"payloads {places}", shown=places != sorted(places)
-        )
+        bench.in_order(places, range(8), "payloads 0 to 7, in order")
 
 
 @case(
@@ -253,11 +241,7 @@ def clear_unknown(bench: Bench) -> None:
     ),
     expect="BP-STATUS-OK; no buffered payload, and only the last payload is sent",
     variants={
-        name: Variant(
-            each.value,
-            requirements="BP-CLR-02" if each.value.is_queue else "BP-CLR-03",
-            needs=each.needs,
-        )
+        name: Variant(each.value, requirements="BP-CLR-02" if each.value.is_queue else "BP-CLR-03", needs=each.needs)
         for name, each in each_mode(*CLIENT, CLEAR, QUERY, since=V1_1).items()
     },
 )
@@ -267,15 +251,13 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
             client.transmit(client.payload())
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
-        number = client.number()
-        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
+        bench.answered(client.number(), 0, "buffered payloads")
         bench.wait(3)
         client.check_silent(quiet_from)
         payload, start = client.payload(), bench.mark()
         client.transmit(payload)
-        bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "not sent in time")
-        others = [each for each in client.sent(start) if each != payload]
-        bench.check(not others, "no other payload is sent", f"{len(others)} older payloads sent", shown=True)
+        bench.some(client.until_sent(payload), "a payload submitted afterwards is sent")
+        bench.every(client.sent(start), payload, "no other payload is sent")
 
 
 @case(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_steps.services import produced
@@ -27,6 +27,7 @@ def _counts(bench: Bench) -> list[int]:
     "TC_VD_CMP_BV_01",
     "Each VarCreate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-06 VD-SCP-02",
+    alone=FILLS,
     stimulus="one beacon creates three variables with repCnt 1, 2 and 4",
     expect="each VarCreate in exactly repCnt beacons",
     window=12,
@@ -43,6 +44,7 @@ def creates_counted(bench: Bench) -> None:
     "TC_VD_CMP_BV_02",
     "Each VarUpdate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-09 VD-SCP-02",
+    alone=FILLS,
     stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
     expect="each VarUpdate in exactly repCnt beacons",
     window=12,
@@ -79,6 +81,7 @@ def deletes_counted(bench: Bench) -> None:
     "TC_VD_CMP_BV_04",
     ("A record to be repeated returns to the tail of its queue: all are sent once before any is repeated ({variant})"),
     requirements="VD-CMP-06 VD-CMP-09",
+    alone=FILLS,
     stimulus="in one beacon, requests for more variables with repCnt 2 than fit into a payload",
     expect="the records in the order of the requests, then all of them again in the same order",
     window=20,
@@ -119,17 +122,13 @@ def current_value(bench: Bench) -> None:
         updated = bench.waiting.repeated(_UPDATE, var_id, mark)
     mark = bench.mark()
     peer.send(peer.request_create(var_id))
-    bench.require(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable", "none")
+    bench.required(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable")
     found = bench.instructions(_CREATE, var_id, mark)
     record = found[0].record
     value, seqno = record.upd.value, record.upd.seqno
-    bench.check(
-        value == bench.records.value(b"the third"), "the current value", f"{value!r}", frames=found[:1], shown=updated
-    )
-    bench.check(seqno == 7, "the current sequence number, 7", f"{seqno}", frames=found[:1], shown=updated)
-    bench.check(
-        record.spec == create.spec, f"the specification {create.spec}", f"{record.spec}", frames=found[:1], shown=True
-    )
+    bench.equal(value, bench.records.value(b"the third"), "the current value", frames=found[:1], given=updated)
+    bench.equal(seqno, 7, "the current sequence number", frames=found[:1], given=updated)
+    bench.answered(record.spec, create.spec, "the specification", frames=found[:1])
     if record.upd.seqno == 7:
         bench.reading("X15", "the current sequence number of the database")
 
@@ -138,6 +137,7 @@ def current_value(bench: Bench) -> None:
     "TC_VD_CMP_BV_06",
     "A value that changes between two repetitions of a VarCreate is in the later one",
     requirements="VD-CMP-07",
+    alone=FILLS,
     stimulus="a variable with many repetitions is created and, while its VarCreate is being repeated, updated",
     expect="the VarCreates after the first VarUpdate have its value and sequence number",
     window=12,
@@ -148,7 +148,7 @@ def current_value(bench: Bench) -> None:
 def changes_while_repeated(bench: Bench) -> None:
     peer, var_id, mark = bench.peer(), bench.var_id(), bench.mark()
     peer.send(peer.create(var_id, value=b"old", rep_cnt=bench.sut.rep_cnt(8)))
-    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate is forwarded", "not forwarded in time")
+    bench.required(bench.until_instruction(_CREATE, var_id), "the VarCreate is forwarded")
     peer.send(peer.update(var_id, 1, b"new"))
     frames = bench.until_quiet(lambda heard: heard.about(_CREATE, var_id) or heard.about(_UPDATE, var_id), since=mark)
     begun = next((place for place, heard in enumerate(frames) if heard.about(_UPDATE, var_id)), None)
@@ -157,15 +157,10 @@ def changes_while_repeated(bench: Bench) -> None:
     behind = [each for heard in frames[begun:] for each in heard.instructions(_CREATE, var_id)]
     if not behind:
         bench.inconclusive("VarCreates with repetitions left when the VarUpdate is sent", "none left")
-    stale = [
-        each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.records.value(b"new"))
-    ]
-    bench.check(
-        not stale,
+    bench.every(
+        behind,
+        lambda each: (each.record.upd.seqno, each.record.upd.value) == (1, bench.records.value(b"new")),
         "value and sequence number of the update in all VarCreates after it",
-        f"{len(stale)} VarCreates without them",
-        frames=stale[:4],
-        shown=True,
     )
 
 
@@ -184,7 +179,7 @@ def update_requested_once(bench: Bench) -> None:
     peer.send(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_UPDATE, var_id, 1, mark)
     numbers = [each.record.seqno for each in found]
-    bench.check(set(numbers) <= {5}, "its own sequence number, 5", f"{numbers}", frames=found, shown=True)
+    bench.proved(set(numbers) <= {5}, "its own sequence number, 5", numbers, frames=found)
 
 
 @case(
@@ -207,6 +202,7 @@ def create_requested_once(bench: Bench) -> None:
     "TC_VD_CMP_BV_09",
     "Requests for many variables are sent once each, in one payload if they fit ({variant})",
     requirements="VD-CMP-11 VD-CMP-12 VD-PAY-02",
+    alone=FILLS,
     stimulus="summaries of twelve variables in one beacon ({variant})",
     expect="one request for each of them, and no second payload while the first has room",
     window=10,
@@ -224,27 +220,16 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     peer.send(*(peer.summary(each, 60) for each in names))
     bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
     found = [each for each in bench.instructions(kind, since=mark) if each.var_id in names]
-    came = [each.var_id for each in found]
-    bench.check(
-        sorted(came) == sorted(names),
-        "one request for each variable",
-        f"{len(came)} requests for {len(set(came))} of {len(names)} variables",
-        requirement,
-        frames=found[:24],
-        shown=len(came) > len(set(came)),
-    )
+    bench.only([each.var_id for each in found], names, "one request for each variable", requirement, frames=found)
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     if frames:
         check_filled(bench, kind, frames, "VD-PAY-02")
     if kind is _ASK_UPDATE:
-        wrong = [each for each in found if each.record.seqno != names.index(each.var_id)]
-        bench.check(
-            not wrong,
+        bench.every(
+            found,
+            lambda each: each.record.seqno == names.index(each.var_id),
             "its own sequence number in each request",
-            f"{len(wrong)} with another number",
             requirement,
-            frames=wrong,
-            shown=True,
         )
 
 
@@ -265,14 +250,13 @@ def after_the_last_delete(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(peer.summary(var_id, 1))
     if bench.features.removed_after_deletion:
-        found = bench.until_instruction(_ASK_CREATE, var_id)
-        bench.check(found, "a request for the variable, which is unknown again", "none")
+        bench.some(bench.until_instruction(_ASK_CREATE, var_id), "a request for the variable, which is unknown again")
         return
     peer.send(peer.request_create(var_id))
     bench.require_alive("records about a deleted variable")
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, var_id)]
     kinds = ", ".join(sorted({each.kind.label for each in trace}))
-    bench.check(not trace, "no reaction: the variable is known and deleted", kinds, frames=trace[:4], shown=True)
+    bench.none(trace, "no reaction: the variable is known and deleted", seen=kinds)
 
 
 @case(
@@ -296,15 +280,15 @@ def described_after_the_last_delete(bench: Bench) -> None:
         return
     answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-DescribeVariable", varId=var_id)
     described = answer.result.get("variable", {})
-    bench.check(described.get("isDeleted") is True, "isDeleted is true", f"{described.get('isDeleted')}", shown=True)
-    left = described.get("countDelete")
-    bench.check(left == 0, "countDelete 0 after the last repetition", f"{left}", shown=True)
+    bench.answered(described.get("isDeleted"), True, "isDeleted")
+    bench.answered(described.get("countDelete"), 0, "countDelete after the last repetition")
 
 
 @case(
     "TC_VD_CMP_BV_13",
     "An update that does not fit after the other containers is sent in the next payload",
     requirements="VD-PAY-02 VD-PAY-06 VD-CMP-09",
+    alone=FILLS,
     stimulus="requests for as many VarCreates as fill a payload, and for a VarUpdate",
     expect="no payload larger than its maximum, and the VarUpdate in exactly repCnt beacons",
     window=16,
@@ -323,24 +307,16 @@ def update_waits(bench: Bench) -> None:
     frames = bench.until_quiet(busy, since=mark)
     bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
     limit = bench.sut.bound(PAYLOAD_SIZE)
-    sizes = [len(bench.codec.encode_containers(each.containers)) for each in frames]
-    largest = max(sizes, default=0)
-    bench.check(
-        largest <= limit,
-        f"payloads of at most {limit} octets",
-        f"{largest}",
-        "VD-PAY-02",
-        frames=frames[:4],
-        shown=True,
-    )
-    names = [each.spec.var_id for each in creates]
-    check_order_of_queue(bench, _CREATE, names, mark, "VD-PAY-06")
+    largest = max([len(bench.codec.encode_containers(each.containers)) for each in frames], default=0)
+    bench.proved(largest <= limit, f"payloads of at most {limit} octets", largest, "VD-PAY-02", frames=frames[:4])
+    check_order_of_queue(bench, _CREATE, [each.spec.var_id for each in creates], mark, "VD-PAY-06")
 
 
 @case(
     "TC_VD_CMP_BV_14",
     "A deletion cancels pending instructions of its variable ({variant})",
     requirements="VD-PD-04 VD-CMP-05",
+    alone=FILLS,
     stimulus="a variable is deleted while its VarCreate or VarUpdate is being repeated many times",
     expect="after the first VarDelete no VarCreate, VarUpdate or summary; exactly repCnt VarDeletes",
     window=24,
@@ -354,7 +330,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
     else:
         bench.learn(peer, create)
         peer.send(peer.update(var_id, 1))
-    bench.require(bench.until_instruction(kind, var_id), "a record of the variable", "none in time", "VD-PD-04")
+    bench.required(bench.until_instruction(kind, var_id), "a record of the variable", "VD-PD-04")
     mark = bench.mark()
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(_DELETE, var_id, repetitions, mark, "VD-PD-04")
@@ -363,14 +339,14 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
     begun = bench.heard.index(found[0].heard)
     for each, requirement in ((_CREATE, "VD-PD-04"), (_UPDATE, "VD-PD-04"), (_SUMMARY, "VD-CMP-05")):
         late = bench.instructions(each, var_id, begun)
-        what = f"no {each.label} record of the deleted variable"
-        bench.check(not late, what, f"{len(late)} records", requirement, frames=late[:4], shown=True)
+        bench.none(late, f"no {each.label} record of the deleted variable", requirement)
 
 
 @case(
     "TC_VD_CMP_BV_15",
     "The producer repeats its own VarDelete exactly repCnt times and keeps the database entry",
     requirements="VD-CMP-10",
+    alone=FILLS,
     stimulus="the application creates and deletes a variable",
     expect="exactly repCnt VarDeletes; RTDB-DescribeVariable still finds the variable",
     window=16,
@@ -379,7 +355,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
 def own_deletion(bench: Bench) -> None:
     repetitions = bench.sut.rep_cnt(3)
     var_id = produced(bench, rep_cnt=repetitions)
-    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the node's own variable", "none")
+    bench.required(bench.until_instruction(_CREATE, var_id), "the VarCreate of the node's own variable")
     mark = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)
     bench.check_repeated(_DELETE, var_id, repetitions, mark)

@@ -11,10 +11,9 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
-from dcp_conformance.test_steps.sequences import part_of
+from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable, undisturbed
 from dcp_conformance.test_steps.services import OK, create_request, produced, settled
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -48,6 +47,7 @@ def largest_create(bench: Bench) -> int:
     "TC_VD_PAY_BV_07",
     ("Records that exactly fill a payload share it; with one octet less the last one is sent separately ({variant})"),
     requirements="VD-PAY-02 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "in one beacon, requests for records that need exactly VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is "
         "set if possible"
@@ -66,22 +66,14 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     kind, less = variant
     peer = bench.peer()
     creates, limit = (_two if settable(bench) else _as_many_as_fit)(bench, peer, kind, less)
-    mark = request(bench, peer, kind, creates)
-    _, frames = all_of(bench, kind, creates, mark)
+    frames = undisturbed(bench, kind, lambda: all_of(bench, kind, creates, request(bench, peer, kind, creates))[1])
     counts = [len(each.instructions(kind)) for each in frames]
     right = [len(creates) - 1, 1] if less else [len(creates)]
-    bench.check(
-        counts == right,
-        f"payloads of at most {limit} octets with {right} records",
-        f"{counts}",
-        "VD-PAY-02",
-        frames=frames,
-        shown=max(counts) > max(right),
-    )
+    what = f"records in payloads of at most {limit} octets"
+    bench.none(max(counts) > max(right), what, "VD-PAY-02", seen=counts, frames=frames)
+    bench.some(counts == right, f"{what}: {right}", "VD-PAY-02", seen=counts, frames=frames)
     largest = max(size_of(bench, each) for each in frames)
-    bench.check(
-        largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames, shown=True
-    )
+    bench.proved(largest <= limit, f"payloads of at most {limit} octets", largest, "VD-IC-05", frames=frames)
 
 
 def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
@@ -112,8 +104,7 @@ def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]
     ``octets`` returns this size in octets; its argument is the size of the container headers and earlier containers in
     the payload.
     """
-    header = bench.builder.container_header_size
-    before = header
+    before = bench.builder.container_header_size
     if kind is _UPDATE and bench.features.container_order.index(_SUMMARY) < bench.features.container_order.index(kind):
         before += _summaries(bench, peer)
     creates = filling(bench, peer, kind, octets(before))
@@ -140,6 +131,7 @@ def _summaries(bench: Bench, peer: Peer) -> int:
     "TC_VD_SUM_BV_05",
     "Summaries after a VarCreate need room for their container and one summary ({variant})",
     requirements="VD-CMP-01 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "requests for VarCreates that leave room for exactly one summary, or one octet less, in a payload of "
         "VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is set if possible"
@@ -170,16 +162,13 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
     def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
         return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
 
-    heard = bench.until(has_all)
-    if heard is None:
-        bench.fail("the requested VarCreates in one payload", "no payload with all of them")
-    # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
-    count = len(heard.instructions(_SUMMARY))
-    bench.check(count == 1 - less, f"{1 - less} summaries after the VarCreates", f"{count}", frames=[heard], shown=True)
-    octets = size_of(bench, heard)
-    bench.check(
-        octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
+    heard = bench.required(
+        bench.until(has_all), "the requested VarCreates in one payload", seen="no payload with all of them"
     )
+    # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
+    bench.answered(len(heard.instructions(_SUMMARY)), 1 - less, "summaries after the VarCreates", frames=[heard])
+    octets = size_of(bench, heard)
+    bench.proved(octets <= limit, f"a payload of at most {limit} octets", octets, "VD-IC-05", frames=[heard])
 
 
 def _never_fits(bench: Bench) -> str | None:
@@ -196,6 +185,7 @@ def _never_fits(bench: Bench) -> str | None:
     "TC_VD_CMP_BV_12",
     "If the record at the head of a queue does not fit, its container is omitted and others follow",
     requirements="VD-CMP-08",
+    alone=FILLS,
     stimulus=(
         "requests for a VarCreate larger than VARDISPAR_MAX_PAYLOAD_SIZE (set if possible), and a summary of an "
         "unknown variable"
@@ -225,22 +215,16 @@ def head_does_not_fit(bench: Bench) -> None:
     bench.wait(3)
     mark = bench.mark()
     peer.send(peer.request_create(large), peer.summary(unknown, 1))
-    asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-    bench.check(
-        asked,
+    bench.some(
+        bench.until_instruction(ICType.REQUEST_VARCREATES, unknown),
         "other containers, although the VarCreate at the head of createQ does not fit",
-        "no request for the unknown variable",
+        seen="no request for the unknown variable",
     )
     bench.beacons(3)
     if bench.instructions(ICType.REQUEST_VARCREATES, large, mark):
         bench.inconclusive("an implementation that knows the variable, which this case needs", "a request for it")
-    found = bench.instructions(_CREATE, large, mark)
-    what = f"no VarCreate of more than {limit} octets"
-    bench.check(not found, what, f"{len(found)} VarCreates", frames=found[:4], shown=True)
-    broken = [each for each in bench.heard[mark:] if each.vardis_problems]
-    bench.check(
-        not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
-    )
+    bench.none(bench.instructions(_CREATE, large, mark), f"no VarCreate of more than {limit} octets")
+    bench.every(bench.heard[mark:], lambda each: not each.vardis_problems, "no container without records")
 
 
 @case(
@@ -262,13 +246,10 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
-    found = bench.until_instruction(kind, create.spec.var_id)
-    bench.check(found, "the record, which exactly fills a payload", "none in time")
+    bench.some(bench.until_instruction(kind, create.spec.var_id), "the record, which exactly fills a payload")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     others = [named for each in frames for named in each.containers if named.ic_type != bench.builder.ic_type(kind)]
-    bench.check(
-        not others, "no other container in its payload", f"{len(others)} more containers", frames=frames, shown=True
-    )
+    bench.none(others, "no other container in its payload", frames=frames)
 
 
 def _lower(bench: Bench, octets: int) -> None:
@@ -316,15 +297,18 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
         sample = peer.request_update(names[0], 5)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, number * bench.builder.record_size(sample) - less)
-    mark = bench.mark()
-    peer.send(*stimuli)
-    frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    def caused() -> list[ReceivedBeacon]:
+        mark = bench.mark()
+        peer.send(*stimuli)
+        return bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    # Deletions have an effect only once, and requests each time.
+    frames = caused() if kind is _DELETE else undisturbed(bench, kind, caused)
     counts = [len(each.instructions(kind)) for each in frames]
     right = [number - 1, 1] if less else [number]
     # One of two payloads alone may be what is left after a loss.
-    bench.check(
-        counts == right, f"payloads with {right} records", f"{counts}", frames=frames, shown=not part_of(counts, right)
-    )
+    bench.in_order(counts, right, f"payloads with {right} records", frames=frames)
 
 
 @case(
@@ -347,8 +331,7 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
-    found = bench.until_instruction(_CREATE, var_id)
-    bench.check(found, "its VarCreate, which exactly fills a payload", "none in time", "VD-PAY-02")
+    bench.some(bench.until_instruction(_CREATE, var_id), "its VarCreate, which exactly fills a payload", "VD-PAY-02")
 
 
 @case(
@@ -371,6 +354,4 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     _lower(bench, bench.builder.record_size(bench.records.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
-    bench.check(
-        found and found.value == value, "its VarUpdate, which exactly fills a payload", "none in time", "VD-PAY-02"
-    )
+    bench.some(found and found.value == value, "its VarUpdate, which exactly fills a payload", "VD-PAY-02")

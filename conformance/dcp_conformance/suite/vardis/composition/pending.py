@@ -16,7 +16,7 @@ from dcp_conformance.test_steps.services import (
     several_repetitions,
     teach_variable,
 )
-from dcp_conformance.test_steps.variable_queries import named, stepped, traces
+from dcp_conformance.test_steps.variable_queries import stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -33,7 +33,7 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
         bench.inconclusive(
             expected, f"{observed}; but it processes received payloads one at a time and may answer in between"
         )
-    bench.check(right, expected, observed, shown=bench.verdicts.in_time)
+    bench.none(not right, expected, seen=observed, given=bench.verdicts.in_time)
 
 
 @case(
@@ -114,8 +114,7 @@ def pending_dropped(bench: Bench) -> None:
         since = bench.mark()
         peer.send(peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4))
         peer.send(peer.delete(var_id))
-        came = bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
-        bench.require(came, "the VarDelete is forwarded", "not forwarded in time")
+        bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded")
         bench.beacons(1, 1.5)
         return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
 
@@ -148,15 +147,13 @@ def deletion_overtaken(bench: Bench) -> None:
     peer, count = bench.peer(), max_repetitions(bench)
     var_id = teach_variable(bench, peer, rep_cnt=count)
     peer.send(peer.delete(var_id))
-    bench.require(
-        bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded", "not forwarded in time"
-    )
+    bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded")
     since = bench.mark()
     peer.send(peer.create(var_id, rep_cnt=2))
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
-    bench.check(not late, "no VarDelete with or after the new VarCreate", f"{named(late)}", frames=late, shown=found)
+    bench.none(late, "no VarDelete with or after the new VarCreate", given=found)
 
 
 @case(
@@ -173,20 +170,15 @@ def update_overtaken(bench: Bench) -> None:
     var_id = bench.var_id()
     bench.learn(peer, peer.create(var_id, rep_cnt=count))
     peer.send(peer.update(var_id, 1))
-    bench.require(
-        bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded", "not forwarded in time"
-    )
+    bench.required(bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded")
     since = bench.mark()
     record = peer.create(var_id, rep_cnt=2, value=b"anew")
     peer.send(record)
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
-    wrong = [each for each in found if each.record != record]
-    bench.check(
-        not wrong, "the new VarCreate unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
-    )
+    bench.every(found, record, "the new VarCreate unchanged")
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.UPDATES, ICType.DELETE_VARIABLES))
-    bench.check(not late, "no VarUpdate with or after the new VarCreate", f"{named(late)}", frames=late, shown=found)
+    bench.none(late, "no VarUpdate with or after the new VarCreate", given=found)
 
 
 @case(
@@ -266,18 +258,18 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
         bench.must("RTDB-Delete", varId=var_id)
     else:
         peer.send(peer.delete(var_id))
-    bench.require(bench.until_instruction(_DELETE, var_id), "the VarDelete is sent", "not sent in time")
+    bench.required(bench.until_instruction(_DELETE, var_id), "the VarDelete is sent")
     record = event(peer, var_id, lambda distance: stepped(bench, stored, distance))
     peer.send(record)
     bench.require_alive(type(record).__name__)
     upper = bench.session.upper
     entry = entry_of(bench, var_id) if upper is not None and "RTDB-DescribeVariable" in upper.methods else None
     if entry is not None:
-        bench.check(entry.get("seqno") == stored, f"seqno {stored}", f"{entry.get('seqno')}", shown=True)
+        bench.answered(entry.get("seqno"), stored, "seqno")
     deletions = bench.check_repeated(_DELETE, var_id, count, since)
     first, last = (bench.heard.index(each.heard) for each in (deletions[0], deletions[-1]))
     late = traces(bench, var_id, first, _OTHERS)
     if bench.features.removed_after_deletion:
         # After the last VarDelete the variable is unknown and may be requested.
         late = [each for each in late if bench.heard.index(each.heard) <= last]
-    bench.check(not late, "no other record of the variable", f"{named(late)}", frames=late, shown=True)
+    bench.none(late, "no other record of the variable")

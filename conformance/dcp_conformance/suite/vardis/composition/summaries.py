@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.services import produced
 from dcp_conformance.test_system.bench import Bench
@@ -50,34 +50,33 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     """
     bench.beacons(1)
     mark = bench.mark()
-    rounds = 2 * -(-len(names) // most) + 2
-    frames = [each for each in bench.beacons(rounds) if each.has_vardis]
+    frames = [each for each in bench.beacons(2 * -(-len(names) // most) + 2) if each.has_vardis]
     over = [each for each in frames if len(_named(each)) > most]
     text = f"{max(map(len, map(_named, frames)), default=0)}"
-    bench.check(not over, f"at most {most} summaries in each payload", text, "VD-CMP-02", frames=over[:4], shown=True)
+    bench.none(over, f"at most {most} summaries in each payload", "VD-CMP-02", seen=text)
     # An application on the node may have variables of its own, and may create another one in the meantime.
     sequence = [each.var_id for each in bench.instructions(_SUMMARY, since=mark) if each.var_id in names]
     known = set(sequence)
     missing = sorted(set(names) - known)
     text = f"no variable {', '.join(map(str, missing[:8]))} in {len(sequence)} summaries"
-    bench.check(not missing, "summaries of all variables", text, *requirements, frames=frames[-1:])
+    bench.complete(missing, "summaries of all variables", *requirements, frames=frames[-1:])
     # A rotating queue repeats the same sequence.
     turn = len(known)
     wrong = [place for place in range(turn, len(sequence)) if sequence[place] != sequence[place - turn]]
     text = ""
     if wrong:
         text = f"variable {sequence[wrong[0]]} instead of {sequence[wrong[0] - turn]}"
-    bench.check(not wrong, "the variables in rotation", text, *requirements, frames=frames[-1:])
+    bench.some(not wrong, "the variables in rotation", *requirements, seen=text, frames=frames[-1:])
     short = [each for each in frames if len(_named(each)) < min(most, turn)]
     text = f"{min(map(len, map(_named, frames)), default=0)}"
-    what = f"{min(most, turn)} summaries in each payload that has room for them"
-    bench.check(not short, what, text, "VD-PAY-02", frames=short[:4], shown=True)
+    bench.none(short, f"{min(most, turn)} summaries in each payload that has room for them", "VD-PAY-02", seen=text)
 
 
 @case(
     "TC_VD_SUM_BV_01",
     "Summaries rotate if there are more variables than summaries in a payload",
     requirements="VD-CMP-02 VD-CMP-03 VD-PAY-02",
+    alone=FILLS,
     stimulus="one and a half times as many variables as VARDISPAR_MAX_SUMMARIES are known",
     expect=(
         "payloads with exactly VARDISPAR_MAX_SUMMARIES summaries; all variables in rotation, in the same order in "
@@ -99,6 +98,7 @@ def rotation(bench: Bench) -> None:
         "as possible)"
     ),
     requirements="VD-CMP-02 VD-CMP-03 VD-PAY-02",
+    alone=FILLS,
     stimulus=(
         "ten variables are known; the parameter is set to {variant}. If it cannot be set, the number of variables "
         "is 1, 3, the value of the parameter, or one more"
@@ -123,6 +123,7 @@ def most_summaries(bench: Bench, most: int) -> None:
     "TC_VD_SUM_BV_03",
     "With VARDISPAR_MAX_SUMMARIES 0 no summaries are sent, and VarDis otherwise works",
     requirements="VD-CMP-01 VD-PAR-06",
+    alone=FILLS,
     stimulus=(
         "a variable is known; the parameter is 0 or set to 0; a summary of an unknown variable and an update of "
         "the known one arrive"
@@ -141,12 +142,10 @@ def no_summaries(bench: Bench) -> None:
     unknown = bench.unknown_id()
     peer.send(peer.summary(unknown, 1), peer.update(name, 1))
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-    bench.check(asked, "a request for the unknown variable", "none", "VD-CMP-01")
+    bench.some(asked, "a request for the unknown variable", "VD-CMP-01")
     bench.wait(4)
-    found = bench.instructions(_SUMMARY, since=mark)
-    bench.check(not found, "no summaries", f"{len(found)} summaries", frames=found[:4], shown=True)
-    passed = bench.instructions(ICType.UPDATES, name, mark)
-    bench.check(passed, "the VarUpdate is forwarded", "not forwarded in time", "VD-CMP-01")
+    bench.none(bench.instructions(_SUMMARY, since=mark), "no summaries")
+    bench.some(bench.instructions(ICType.UPDATES, name, mark), "the VarUpdate is forwarded", "VD-CMP-01")
 
 
 @case(
@@ -168,13 +167,7 @@ def nothing_to_summarise(bench: Bench) -> None:
         bench.inconclusive(
             "an empty database, which this case needs", "an application on the node has created a variable"
         )
-    bench.check(
-        not found,
-        "no SUMMARIES container while no variable is known",
-        f"{len(found)} beacons with one",
-        frames=found[:4],
-        shown=True,
-    )
+    bench.none(found, "no SUMMARIES container while no variable is known")
 
 
 @case(
@@ -193,20 +186,19 @@ def current_number(bench: Bench) -> None:
     for number in (4, 9):
         mark = bench.mark()
         peer.send(peer.update(name, number))
-        bench.require(
-            bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded", "not forwarded in time"
-        )
+        bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded")
         # A payload composed before the update was sent before the VarUpdate.
-        begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0])
-        _check_number(bench, name, number, begun)
+        _check_number(bench, name, number, bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0]))
 
 
 def _check_number(bench: Bench, name: int, number: int, since: int) -> None:
     found = bench.until_instruction(_SUMMARY, name, 12) or bench.instructions(_SUMMARY, name, since)
-    bench.check(found, f"a summary of variable {name}", "none in 12 periods")
-    wrong = [each for each in bench.instructions(_SUMMARY, name, since) if each.record.seqno != number]
-    text = f"{wrong[0].record.seqno}" if wrong else ""
-    bench.check(not wrong, f"summaries with sequence number {number}", text, frames=wrong[:4], shown=True)
+    bench.some(found, f"a summary of variable {name}", seen="none in 12 periods")
+    bench.every(
+        bench.instructions(_SUMMARY, name, since),
+        lambda each: each.record.seqno == number,
+        f"summaries with sequence number {number}",
+    )
 
 
 @case(
@@ -223,14 +215,13 @@ def deleted_not_summarised(bench: Bench) -> None:
     peer, mark = bench.peer(), bench.mark()
     gone, left = names[::2], names[1::2]
     peer.send(*(peer.delete(each) for each in gone))
-    found = bench.until_instruction(ICType.DELETE_VARIABLES, gone[0])
-    bench.require(found, "the VarDelete is forwarded", "not forwarded in time")
+    bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, gone[0]), "the VarDelete is forwarded")
     begun = bench.heard.index(bench.receiver.frames_with(ICType.DELETE_VARIABLES, gone[0], mark)[0])
     bench.until(lambda _: set(left) <= {each.var_id for each in bench.instructions(_SUMMARY, since=begun)}, 16)
     late = [each for each in bench.instructions(_SUMMARY, since=begun) if each.var_id in gone]
-    bench.check(not late, "no summary of a deleted variable", f"{len(late)} summaries", frames=late[:4], shown=True)
+    bench.none(late, "no summary of a deleted variable")
     still = {each.var_id for each in bench.instructions(_SUMMARY, since=begun)} & set(left)
-    bench.check(still == set(left), "summaries of the remaining variables", f"only of {sorted(still)}")
+    bench.some(still == set(left), "summaries of the remaining variables", seen=f"only of {sorted(still)}")
 
 
 @case(
@@ -244,14 +235,13 @@ def deleted_not_summarised(bench: Bench) -> None:
 )
 def own_summarised(bench: Bench) -> None:
     name = produced(bench)
-    bench.require(bench.until_instruction(_SUMMARY, name, 8), "a summary of the node's own variable", "none")
+    bench.required(bench.until_instruction(_SUMMARY, name, 8), "a summary of the node's own variable")
     mark = bench.mark()
     for value in ("01", "02"):
         bench.must("RTDB-Update", varId=name, value=value)
-    bench.require(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate", "none")
+    bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate")
     begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[-1])
-    last = bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno
-    if last != 2:
+    if bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno != 2:
         # The first VarUpdate was composed before the second update.
         bench.until(lambda heard: any(each.record.seqno == 2 for each in heard.instructions(ICType.UPDATES, name)))
         begun = len(bench.heard) - 1
@@ -276,4 +266,4 @@ def unknown_not_summarised(bench: Bench) -> None:
     bench.require_alive("records about unknown variables")
     bench.beacons(3)
     found = [each for each in bench.instructions(_SUMMARY, since=mark) if each.var_id in names]
-    bench.check(not found, "no summary of an unknown variable", f"{len(found)} summaries", frames=found[:4], shown=True)
+    bench.none(found, "no summary of an unknown variable")

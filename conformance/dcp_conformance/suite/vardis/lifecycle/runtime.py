@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
 from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import MS, Bench
@@ -28,17 +28,16 @@ def no_beacon_without(bench: Bench) -> None:
     peer, name, mark = bench.peer(), bench.var_id(), bench.mark()
     count = bench.sut.rep_cnt(10)
     peer.send(peer.create(name, rep_cnt=count))
-    having = bench.until_quiet(lambda heard: heard.about(_CREATE, name), since=mark)
-    bench.require(having, "the VarCreate is forwarded", "not forwarded in time")
+    having = bench.required(
+        bench.until_quiet(lambda heard: heard.about(_CREATE, name), since=mark), "the VarCreate is forwarded"
+    )
     first, last = bench.heard.index(having[0]), bench.heard.index(having[-1])
     idle = [each for each in bench.heard[first : last + 1] if not each.has_vardis]
     text = f"{len(idle)} of {last + 1 - first} beacons without one"
-    bench.check(
-        not idle, "a VarDis block in every beacon while something is pending", text, frames=idle[:4], shown=True
-    )
+    bench.none(idle, "a VarDis block in every beacon while something is pending", seen=text)
     without = last + 1 - first - len(having)
     text = f"{without} beacons between them without it"
-    bench.check(not without, f"the VarCreate in {count} consecutive beacons", text, frames=having[:1], shown=True)
+    bench.none(without, f"the VarCreate in {count} consecutive beacons", seen=text, frames=having[:1])
 
 
 @case(
@@ -54,9 +53,8 @@ def summaries_in_every_beacon(bench: Bench) -> None:
     peer, name = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(name))
     frames = bench.beacons(10)
-    bench.check(len(frames) == 10, "ten beacons", f"{len(frames)}")
-    idle = [each for each in frames if not each.has_vardis]
-    bench.check(not idle, "a VarDis block in every beacon", f"{len(idle)} without", frames=idle[:4], shown=True)
+    bench.some(len(frames) == 10, "ten beacons", seen=len(frames))
+    bench.none([each for each in frames if not each.has_vardis], "a VarDis block in every beacon")
 
 
 @case(
@@ -72,14 +70,17 @@ def in_succession(bench: Bench) -> None:
     for number in range(8):
         unknown = bench.unknown_id()
         peer.send(peer.summary(unknown, 1))
-        found = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-        bench.require(found, f"a request for unknown variable {number + 1} of 8", "none")
+        bench.required(
+            bench.until_instruction(ICType.REQUEST_VARCREATES, unknown),
+            f"a request for unknown variable {number + 1} of 8",
+        )
 
 
 @case(
     "TC_VD_RUN_TI_01",
     "After a time without payloads, the next one is composed within the buffer check period",
     requirements="VD-RUN-02",
+    alone=LISTENS,
     stimulus="no records until no beacon has a VarDis block; then a summary of an unknown variable",
     expect="the request within VARDISPAR_BUFFER_CHECK_PERIOD plus one beacon period",
     window=8,
@@ -126,9 +127,9 @@ def _check_wake_up(bench: Bench, period_ms: int) -> None:
         3 * allowed / bench.period,
     )
     took = (found.time if found is not None else bench.now()) - started
-    bench.require(found, f"a request after at most {allowed / MS:.0f} ms", f"none in {3 * allowed / MS:.0f} ms")
+    bench.required(found, f"a request after at most {allowed / MS:.0f} ms", seen=f"none in {3 * allowed / MS:.0f} ms")
     what = f"a beacon with the payload after at most {allowed / MS:.0f} ms (composed within {period_ms} ms)"
-    bench.check(took <= allowed, what, f"{took / MS:.0f} ms", frames=bench.heard[-1:])
+    bench.some(took <= allowed, what, seen=f"{took / MS:.0f} ms", frames=bench.heard[-1:])
 
 
 @case(
@@ -146,21 +147,14 @@ def _check_wake_up(bench: Bench, period_ms: int) -> None:
 def only_while_active(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15)
     peer.send(peer.create(name, rep_cnt=count))
-    bench.require(bench.until_instruction(_CREATE, name), "the VarCreate is forwarded", "not forwarded in time")
+    bench.required(bench.until_instruction(_CREATE, name), "the VarCreate is forwarded")
     with bench.services.deactivated("VD"):
         bench.wait(2)
         mark = bench.mark()
         peer.send(peer.summary(bench.unknown_id(), 1))
         bench.wait(6)
-        found = [each for each in bench.heard[mark:] if each.has_vardis]
-        bench.check(
-            not found,
-            "no VarDis block while VarDis is inactive",
-            f"{len(found)} beacons with one",
-            frames=found[:4],
-            shown=True,
-        )
-    bench.check(bench.probes.probe(), "VarDis answers a probe after its activation", "no answer")
+        bench.none([each for each in bench.heard[mark:] if each.has_vardis], "no VarDis block while VarDis is inactive")
+    bench.some(bench.probes.probe(), "VarDis answers a probe after its activation")
     if count > 6:
         bench.waiting.repeated(_CREATE, name, 0)
         total = len(bench.instructions(_CREATE, name))
@@ -185,16 +179,7 @@ def newest_only(bench: Bench) -> None:
         bench.wait(0.2)
     found = bench.waiting.repeated(ICType.UPDATES, name, mark)
     numbers = check_order(bench, found, "VD-RUN-01")
-    last = numbers.count(10)
-    text = f"{last} of {numbers}"
-    bench.check(
-        last == count,
-        f"the last VarUpdate in {count} beacons",
-        text,
-        "VD-CMP-09",
-        frames=found[-4:],
-        shown=last > count,
-    )
+    bench.repeated(numbers.count(10), count, "beacons with the last VarUpdate", "VD-CMP-09", frames=found[-4:])
 
 
 @case(
@@ -215,7 +200,7 @@ def parameter_takes_effect(bench: Bench) -> None:
         bench.beacons(2)
         frames = bench.beacons(2)
         counts = [len(each.instructions(ICType.SUMMARIES)) for each in frames]
-        bench.check(counts == [most] * 2, f"{most} summaries in each payload", f"{counts}", frames=frames, shown=True)
+        bench.answered(counts, [most] * 2, "summaries in each payload", frames=frames)
 
 
 def _own_period(bench: Bench, periods: float) -> int:
@@ -241,18 +226,9 @@ def composed_when_sent(bench: Bench) -> None:
     _own_period(bench, 12)
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(5)
     peer.send(peer.create(name, rep_cnt=count))
-    bench.require(bench.until_instruction(_CREATE, name, 30), "the VarCreate is forwarded", "not forwarded in time")
-    begun = bench.now()
+    bench.required(bench.until_instruction(_CREATE, name, 30), "the VarCreate is forwarded")
     bench.wait(count + bench.sut.reaction)
-    frames = bench.receiver.frames_with(_CREATE, name)
-    text = f"{len(frames)} of {count} in {(bench.now() - begun) / MS:.0f} ms"
-    bench.check(
-        len(frames) == count,
-        f"{count} VarCreates in consecutive beacons",
-        text,
-        frames=frames,
-        shown=len(frames) > count,
-    )
+    bench.repeated(bench.receiver.frames_with(_CREATE, name), count, "VarCreates in consecutive beacons")
 
 
 @case(

@@ -48,7 +48,7 @@ def consumer(bench: Bench, timeout_ms: int) -> None:
         not_by_consumers(bench, name)
         return
     bench.reading("X26", "every-node")
-    bench.check(True, "consumers delete variables after their timeout", "", "VD-SCR-05", frames=[found])
+    bench.passed("consumers delete variables after their timeout", "VD-SCR-05", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")
     _check_no_trace(bench, name, found)
@@ -58,8 +58,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     begun = bench.heard.index(found.heard)
     for kind in (ICType.SUMMARIES, ICType.CREATE_VARIABLES, ICType.UPDATES):
         late = bench.instructions(kind, name, begun)
-        what = f"no {kind.label} record after the first VarDelete"
-        bench.check(not late, what, f"{len(late)} records", "VD-SCR-04", frames=late[:4], shown=True)
+        bench.none(late, f"no {kind.label} record after the first VarDelete", "VD-SCR-04")
 
 
 @case(
@@ -74,10 +73,12 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
 def producer(bench: Bench) -> None:
     name, count, timeout_ms = bench.identifiers.own_var_id(), bench.sut.rep_cnt(3), 300
     since = create_own(bench, name, timeout_ms, count)
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        bench.fail("a VarDelete of the node's own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
-    bench.check(True, "scrubbing runs from the start", "", "VD-INI-06", frames=[found])
+    found = bench.required(
+        deleted(bench, name, since, timeout_ms),
+        "a VarDelete of the node's own variable",
+        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
+    )
+    bench.passed("scrubbing runs from the start", "VD-INI-06", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")
     _check_no_trace(bench, name, found)
@@ -99,10 +100,7 @@ def timeout_zero(bench: Bench) -> None:
     if deleted(bench, other, since, 300) is None:
         not_by_consumers(bench, other)
     bench.waiting.wait_ns(2 * period_ms * MS)
-    found = bench.instructions(_DELETE, name)
-    bench.check(
-        not found, "no VarDelete of a variable with timeout 0", f"{len(found)} VarDeletes", frames=found[:4], shown=True
-    )
+    bench.none(bench.instructions(_DELETE, name), "no VarDelete of a variable with timeout 0")
     _check_known(bench, name, "VD-SCR-02")
 
 
@@ -111,7 +109,7 @@ def _check_known(bench: Bench, name: int, *requirements: str) -> None:
     peer = bench.peer()
     peer.send(peer.request_create(name))
     found = bench.until_instruction(ICType.CREATE_VARIABLES, name)
-    bench.check(found, "a VarCreate of the variable in answer to a request", "no answer", *requirements)
+    bench.some(found, "a VarCreate of the variable in answer to a request", *requirements)
 
 
 @case(
@@ -133,15 +131,7 @@ def deleted_skipped(bench: Bench) -> None:
     if deleted(bench, other, since, timeout_ms) is None:
         not_by_consumers(bench, other)
     bench.beacons(2)
-    found = bench.instructions(_DELETE, name)
-    text = f"{len(found)}"
-    bench.check(
-        len(found) == count,
-        f"{count} VarDeletes, and none after the timeout",
-        text,
-        frames=found[-4:],
-        shown=len(found) > count,
-    )
+    bench.repeated(bench.instructions(_DELETE, name), count, "VarDeletes in all")
 
 
 @case(
@@ -195,15 +185,10 @@ def all_variables(bench: Bench) -> None:
     if not deleted & set(names):
         not_by_consumers(bench, names[0])
         return
-    missing = sorted(set(names) - deleted)
-    text = f"none of {', '.join(map(str, missing))}"
-    bench.check(not missing, "a VarDelete of each variable after its timeout", text, "VD-SCR-05")
+    bench.complete(sorted(set(names) - deleted), "a VarDelete of each variable after its timeout", "VD-SCR-05")
     for name in sorted(deleted & set(names)):
         check_time(bench, bench.instructions(_DELETE, name)[0], since, timeouts[name], "VD-SCR-01")
-    wrong = sorted(deleted & set(kept))
-    bench.check(
-        not wrong, "no VarDelete of the variables with timeout 0", f"VarDeletes of {wrong}", "VD-SCR-05", shown=True
-    )
+    bench.none(sorted(deleted & set(kept)), "no VarDelete of the variables with timeout 0", "VD-SCR-05")
 
 
 @case(
@@ -225,16 +210,13 @@ def not_much_longer(bench: Bench) -> None:
     tolerance = bench.sut.pixit.timer_tolerance_ms * scale
     most = round((timeout_ms + 100 * scale + tolerance) * MS + bench.sut.reaction * bench.period)
     bench.until_instruction(_DELETE, name, 2 * most / bench.period)
-    found = next(iter(bench.instructions(_DELETE, name)), None)
-    if found is None:
-        bench.fail("a VarDelete of the node's own variable", f"none in {2 * most / MS:.0f} ms", "VD-SCR-01")
+    found = bench.required(
+        next(iter(bench.instructions(_DELETE, name)), None),
+        "a VarDelete of the node's own variable",
+        "VD-SCR-01",
+        seen=f"none in {2 * most / MS:.0f} ms",
+    )
     most += since.after - since.before
     took = found.heard.time - since.before
-    what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the creation"
-    bench.check(
-        (timeout_ms - 2) * MS <= took <= most,
-        what,
-        f"{took / MS:.0f} ms",
-        frames=[found],
-        shown=took < (timeout_ms - 2) * MS,
-    )
+    what = "time from the creation to the VarDelete"
+    bench.within(took, (timeout_ms - 2) * MS, most, what, late="above", unit="ms", frames=[found])

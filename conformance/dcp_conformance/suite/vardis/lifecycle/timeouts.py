@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
     check_time,
@@ -37,6 +37,7 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
     "TC_VD_SCR_TI_04",
     "Updates prevent the timeout of a variable at a consumer; after the last one it is deleted in time",
     requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
+    alone=TIMES_DELETION,
     stimulus=(
         "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for two "
         "timeouts and a scrubbing period"
@@ -58,12 +59,11 @@ def kept_by_updates(bench: Bench) -> None:
         bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = _early(bench, name, since, timeout_ms)
     _check_in_time(bench, slowest, timeout_ms, early)
-    bench.check(
+    bench.some(
         not early,
         "no VarDelete of a variable that is updated in time",
-        f"{len(early)} VarDeletes",
-        "VD-SCR-03",
-        "VD-SCR-06",
+        "VD-SCR-03 VD-SCR-06",
+        seen=f"{len(early)} VarDeletes",
     )
     if early:
         return
@@ -72,13 +72,14 @@ def kept_by_updates(bench: Bench) -> None:
         not_by_consumers(bench, name)
         return
     last_one = any(each.record.seqno == number for each in bench.instructions(ICType.UPDATES, name))
-    check_time(bench, found, since, timeout_ms, "VD-SCR-01", "VD-SCR-06", received=last_one)
+    check_time(bench, found, since, timeout_ms, "VD-SCR-01 VD-SCR-06", received=last_one)
 
 
 @case(
     "TC_VD_SCR_TI_05",
     "Updates by its application prevent the timeout of a variable at the producer",
     requirements="VD-SCR-03",
+    alone=TIMES_DELETION,
     stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts",
     expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
@@ -108,23 +109,19 @@ def kept_by_the_application(bench: Bench) -> None:
         bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = _early(bench, name, since, timeout_ms)
     _check_in_time(bench, slowest, timeout_ms, early)
-    bench.check(
-        not early,
-        "no VarDelete of a variable that is updated in time",
-        f"{len(early)} VarDeletes",
-        frames=early[:2],
-        shown=True,
-    )
+    bench.none(early, "no VarDelete of a variable that is updated in time")
     if early:
         return
     if refused is not None:
         bench.inconclusive("RTDB-Update succeeds, which this case needs", str(refused))
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        bench.fail("a VarDelete after the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    found = bench.required(
+        deleted(bench, name, since, timeout_ms),
+        "a VarDelete after the last update",
+        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
+    )
     took = found.heard.time - since.before
     what = f"the VarDelete at least {timeout_ms} ms after the last update"
-    bench.check(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found], shown=True)
+    bench.proved(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found])
 
 
 def _early(bench: Bench, name: int, since: Change, timeout_ms: int) -> list[Instruction]:
@@ -180,7 +177,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
         # If only producers scrub (X26), this cannot be tested.
         not_by_consumers(bench, name)
         return
-    bench.require(found, "a VarDelete of the variable, as of the one without further records", "none in time")
+    bench.required(found, "a VarDelete of the variable, as of the one without further records")
     check_time(bench, found[0], since, timeout_ms)
 
 
@@ -188,6 +185,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
     "TC_VD_SCR_TI_08",
     "A renewed creation restarts the timeout, with its new value",
     requirements="VD-SCR-03 VD-SCR-05 VD-SCR-01",
+    alone=TIMES_DELETION,
     stimulus=(
         "a variable with timeout 300 ms is deleted by scrubbing; then it is created again with three times that timeout"
     ),
@@ -208,9 +206,12 @@ def created_again(bench: Bench) -> None:
     long = 3 * short
     second = learn(bench, peer, name, long)
     left = second.after + latest(bench, long) - bench.now()
-    found = bench.until_instruction(_DELETE, name, left / bench.period)
-    bench.require(found, "a VarDelete after the second creation", "none in time", "VD-SCR-05")
-    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03", "VD-SCR-01")
+    bench.required(
+        bench.until_instruction(_DELETE, name, left / bench.period),
+        "a VarDelete after the second creation",
+        "VD-SCR-05",
+    )
+    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03 VD-SCR-01")
 
 
 def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
@@ -232,10 +233,7 @@ _LONGEST = 65_535
     expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
     window=700,
     needs=_WIRE,
-    variants={
-        "received": _foreign,
-        "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))),
-    },
+    variants={"received": _foreign, "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
     long=True,
 )
 def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
@@ -246,6 +244,6 @@ def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> 
     if found is None and make is _foreign:
         not_by_consumers(bench, name)
         return
-    bench.require(found is not None, "a VarDelete of the variable", "none in time")
+    bench.required(found, "a VarDelete of the variable")
     assert found is not None
     check_time(bench, found, since, _LONGEST)

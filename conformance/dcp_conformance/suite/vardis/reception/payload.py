@@ -12,9 +12,8 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
-from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -34,6 +33,7 @@ def stock(
 
     With ``mixed``, every third one is short.
     """
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
@@ -69,13 +69,12 @@ def check_filled(bench: Bench, kind: ICType, frames: Sequence[ReceivedBeacon], *
         if len(heard.instructions(kind)) >= IC_MAX_RECORDS:
             continue
         used = octets_up_to(bench, heard, kind)
-        record = following.instructions(kind)[0].record
-        size = bench.builder.record_size(record)
-        bench.check(
+        size = bench.builder.record_size(following.instructions(kind)[0].record)
+        bench.some(
             used + size > limit,
             f"a payload filled until the next {kind.label} record does not fit into {limit} octets",
-            f"{limit - used} octets left, with a next record of {size}",
             *requirements,
+            seen=f"{limit - used} octets left, with a next record of {size}",
             frames=heard.instructions(kind)[-1:],
         )
 
@@ -86,15 +85,8 @@ def check_order_of_queue(bench: Bench, kind: ICType, var_ids: Sequence[int], sin
     found = [each for each in bench.instructions(kind, since=since) if each.var_id in wanted]
     came = [each.var_id for each in found]
     wrong = next((place for place, pair in enumerate(zip(came, var_ids, strict=False)) if pair[0] != pair[1]), None)
-    text = "" if wrong is None else f"at index {wrong} variable {came[wrong]}, not {var_ids[wrong]}"
-    bench.check(
-        came == list(var_ids),
-        f"{len(var_ids)} {kind.label} records in the order in which they were queued",
-        text or f"{len(came)} records",
-        *requirements,
-        frames=found[wrong : wrong + 1] if wrong is not None else (),
-        shown=not part_of(came, var_ids),
-    )
+    what = f"{len(var_ids)} {kind.label} records in the order in which they were queued"
+    bench.in_order(came, var_ids, what, *requirements, frames=found[wrong : wrong + 1] if wrong is not None else ())
 
 
 def _room_for_all_kinds(bench: Bench) -> str | None:
@@ -157,28 +149,18 @@ def order_of_containers(bench: Bench) -> None:
     for heard in bench.heard:
         numbers = [each.ic_type for each in heard.containers]
         places = [order.index(_kind(bench, each)) for each in numbers]
-        bench.check(
-            places == sorted(places),
+        bench.answered(
+            places,
+            sorted(places),
             "containers in the order " + ", ".join(each.label for each in order),
-            ", ".join(_kind(bench, each).label for each in numbers),
-            "VD-PAY-01",
-            "VD-PAY-07",
+            "VD-PAY-01 VD-PAY-07",
             frames=[heard],
-            shown=True,
         )
     without = [each for each in bench.heard[known:] if each.instructions() and not each.instructions(ICType.SUMMARIES)]
-    bench.check(
-        not without,
-        "summaries along with every other container",
-        f"none in {len(without)} payloads",
-        "VD-PAY-01",
-        "VD-PAY-07",
-        frames=without[:4],
-        shown=True,
-    )
+    bench.none(without, "summaries along with every other container", "VD-PAY-01 VD-PAY-07")
     if full is None:
         bench.inconclusive("a payload with all six kinds of containers", f"none in {_ATTEMPTS} attempts", "VD-PAY-02")
-    bench.check(True, "one payload with all six kinds of containers", "", "VD-PAY-02", "VD-IC-02", frames=[full])
+    bench.passed("one payload with all six kinds of containers", "VD-PAY-02 VD-IC-02", frames=[full])
     if bench.verdicts.checks and all(each.verdict == "pass" for each in bench.verdicts.checks):
         bench.reading("X18", ", ".join(_kind(bench, each.ic_type).label for each in full.containers))
 
@@ -191,6 +173,7 @@ def _kind(bench: Bench, number: int) -> ICType:
     "TC_VD_PAY_BV_02",
     "Payloads are filled until the next record does not fit, and never exceed their maximum ({variant})",
     requirements="VD-PAY-02 VD-IC-05",
+    alone=FILLS,
     stimulus="requests for more variables, with the longest values, than fit into two payloads",
     expect="each payload but the last is full; none is larger than VARDISPAR_MAX_PAYLOAD_SIZE",
     window=12,
@@ -215,13 +198,8 @@ def filled(bench: Bench, kind: ICType) -> None:
     largest = max(frames, key=lambda heard: size_of(bench, heard))
     limit = bench.sut.bound(PAYLOAD_SIZE)
     text = f"{size_of(bench, largest)} octets"
-    bench.check(
-        size_of(bench, largest) <= limit,
-        f"payloads of at most {limit} octets",
-        text,
-        "VD-IC-05",
-        frames=[largest],
-        shown=True,
+    bench.proved(
+        size_of(bench, largest) <= limit, f"payloads of at most {limit} octets", text, "VD-IC-05", frames=[largest]
     )
 
 
@@ -253,7 +231,7 @@ def all_of(
     frames = bench.until_quiet(present, since=mark)
     came = {each.var_id for heard in frames for each in heard.instructions(kind)} & wanted
     what = f"{kind.label} records about all {len(wanted)} variables"
-    bench.require(came == wanted, what, f"only about {len(came)}", frames=frames[-1:])
+    bench.required(came == wanted, what, seen=f"only about {len(came)}", frames=frames[-1:])
     return came, frames
 
 
@@ -285,11 +263,11 @@ def no_variable_twice(bench: Bench) -> None:
             twice = [each for each in records if named.count(each.var_id) > 1]
             if twice:
                 what = f"{named.count(twice[0].var_id)} records of variable {twice[0].var_id} in one container"
-                bench.fail("at most one record of each variable in each container", what, frames=twice, shown=True)
-    bench.check(
+                bench.wrong("at most one record of each variable in each container", what, frames=twice)
+    bench.some(
         len(kinds) >= 4,
         "at most one record of each variable in each container",
-        f"only {len(kinds)} kinds of containers were sent",
+        seen=f"only {len(kinds)} kinds of containers were sent",
     )
 
 
@@ -312,12 +290,10 @@ def nothing_to_say(bench: Bench) -> None:
     quiet = bench.mark()
     bench.wait(5)
     empty = [each for each in bench.heard if each.has_vardis and not each.containers]
-    bench.check(
-        not empty, "a container in every VarDis block", f"{len(empty)} blocks without", frames=empty[:4], shown=True
-    )
+    bench.none(empty, "a container in every VarDis block")
     broken = [each for each in bench.heard if any(what.reason == "zero-count" for what in each.vardis_problems)]
     text = str(broken[0].vardis_problems[0]) if broken else ""
-    bench.check(not broken, "a record in every container", text, "VD-IC-03", frames=broken[:4], shown=True)
+    bench.none(broken, "a record in every container", "VD-IC-03", seen=text)
     later = [each for each in bench.heard[quiet:] if each.has_vardis]
     told = [record for each in later for record in each.instructions()]
     if any(each.kind is ICType.SUMMARIES or each.var_id != var_id for each in told):
@@ -327,27 +303,24 @@ def nothing_to_say(bench: Bench) -> None:
             "unknown: summaries of other variables are still sent",
         )
         return
-    text = f"a block in {len(later)} of {len(bench.heard) - quiet} beacons"
-    shown = bench.verdicts.in_time
-    bench.check(
-        not later, "no VarDis block when no instruction is pending", text, "VD-PAY-04", frames=later[:4], shown=shown
-    )
+    what = "no VarDis block when no instruction is pending"
+    bench.none(later, what, "VD-PAY-04", given=bench.verdicts.in_time)
 
 
 def _room_for_256(bench: Bench) -> str | None:
-    width = bench.profile.types.var_id.width
-    needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * width
+    needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * bench.profile.types.var_id.width
     if bench.sut.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
-    if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
-        return f"the tester may only use {bench.session.identifier_pool.size} identifiers (pixit.var_ids)"
-    return bench.sut.lacks_room(IC_MAX_RECORDS + 1) or None
+    if len(_names(bench)) <= IC_MAX_RECORDS:
+        return f"applications leave only {len(_names(bench))} identifiers to the tester (see pixit.var_ids)"
+    return bench.sut.lacks("variables", IC_MAX_RECORDS + 1) or None
 
 
 def _names(bench: Bench) -> set[int]:
     """Return one more variable identifier than a container can hold, of those that the tester may use."""
-    first = bench.session.identifier_pool.first
-    return set(range(first, first + IC_MAX_RECORDS + 1))
+    pool = bench.session.identifier_pool
+    usable = (each for each in range(pool.first, pool.first + pool.size) if not bench.identifiers.is_applications(each))
+    return set(itertools.islice(usable, IC_MAX_RECORDS + 1))
 
 
 @case(
@@ -369,22 +342,16 @@ def more_than_255(bench: Bench) -> None:
             break
         bench.beacons(1, 4)
         requested = {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES)}
-    broken = [each for each in bench.heard if each.vardis_problems]
-    bench.check(
-        not broken,
-        "VarDis payloads that can be decoded",
-        str(broken[0].vardis_problems[0]) if broken else "",
-        frames=broken[:4],
-        shown=True,
-    )
+    bench.every(bench.heard, lambda each: not each.vardis_problems, "VarDis payloads that can be decoded")
     came = f"requests for {len(requested)} variables"
-    bench.check(requested == wanted, "requests for all 256 variables", came, frames=bench.heard[-4:])
+    bench.some(requested == wanted, "requests for all 256 variables", seen=came, frames=bench.heard[-4:])
 
 
 @case(
     "TC_VD_PAY_BV_06",
     "A short record does not overtake a long one that does not fit ({variant})",
     requirements="VD-PAY-06",
+    alone=FILLS,
     stimulus="requests for more variables than fit into two payloads, every third of them with a short VarCreate",
     expect="the records in the order of the requests, across all payloads",
     window=12,
@@ -417,22 +384,15 @@ def several_containers(bench: Bench) -> None:
     several = [each for each in bench.heard if _repeats_a_type(each)]
     text = f"{len(several)} payloads with more"
     if not bench.features.several_containers_per_type:
-        bench.check(not several, "one container of each type in a payload (1.0)", text, frames=several[:2], shown=True)
+        bench.none(several, "one container of each type in a payload (1.0)", seen=text)
     elif bench.sut.pics.several_containers is False:
-        bench.check(
-            not several,
-            "one container of each type in a payload, as the PICS claims",
-            text,
-            frames=several[:2],
-            shown=True,
-        )
+        bench.none(several, "one container of each type in a payload, as the PICS claims", seen=text)
     elif bench.sut.pics.several_containers:
         if not several:
             bench.inconclusive("several containers of a type in a payload, as the PICS claims", "none observed")
-        bench.check(True, "several containers of a type in a payload, as the PICS claims", "", frames=several[:2])
+        bench.passed("several containers of a type in a payload, as the PICS claims", frames=several[:2])
     else:
-        does = "yes" if several else "not observed"
-        bench.info("Does a payload have several containers of the same type?", does)
+        bench.info("Does a payload have several containers of the same type?", "yes" if several else "not observed")
 
 
 def _repeats_a_type(heard: ReceivedBeacon) -> bool:

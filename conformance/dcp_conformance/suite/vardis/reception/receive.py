@@ -10,7 +10,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, teach_variable
-from dcp_conformance.test_steps.variable_queries import ask, modulus, named, stepped, teach_variables, traces
+from dcp_conformance.test_steps.variable_queries import ask, check_stored, modulus, stepped, teach_variables, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -20,24 +20,14 @@ _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
 def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, came: object, *requirements: str) -> None:
     """Check the stored sequence number and value of a variable."""
-    held = ask(bench, var_id)
-    upd = held.record.upd if held.record is not None else None
-    as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, bench.records.value(value))
-    what = f"variable {var_id} stored with sequence number {seqno} and value {value.hex()}"
-    bench.check(as_expected, what, str(held), *requirements, shown=came and held.record)
+    what = f"stored sequence number and value of variable {var_id}"
+    check_stored(bench, ask(bench, var_id), seqno, value, what, *requirements, given=came)
 
 
 def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, ...], *requirements: str) -> None:
     found = traces(bench, var_id, since, kinds)
-    bench.check(
-        not found,
-        f"no request for variable {var_id}",
-        f"{named(found)}",
-        *requirements,
-        frames=found,
-        # An implementation that lost a container has a reason to send a request.
-        shown=not bench.session.known.lost_container,
-    )
+    # An implementation that lost a container has a reason to send a request.
+    bench.none(found, f"no request for variable {var_id}", *requirements, given=not bench.session.known.lost_container)
 
 
 @case(
@@ -91,18 +81,10 @@ def permutations(bench: Bench) -> None:
     for order, var_id, other in zip(orders, created, unknown, strict=True):
         what = " before ".join(names[index] for index in order)
         found = [each.record.upd for each in bench.waiting.repeated(ICType.CREATE_VARIABLES, var_id, since)]
-        newest = [(each.seqno, each.value) for each in found[-1:]]
-        shown = f"sequence number {newest[0][0]}, value {newest[0][1]!r}" if newest else "no VarCreate"
-        right = newest == [(1, bench.records.value(b"newer"))]
-        applied = bench.check(right, f"{what}: creation and update are applied", shown, "VD-RX-02", shown=newest)
+        newest = (found[-1].seqno, found[-1].value) if found else None
+        applied = bench.equal(newest, (1, bench.records.value(b"newer")), f"{what}: the last VarCreate", "VD-RX-02")
         came = bench.instructions(_RC, other, since)
-        bench.check(
-            len(came) == 1,
-            f"{what}: one request for the unknown variable",
-            f"{len(came)} requests",
-            "VD-RX-02",
-            shown=len(came) > 1,
-        )
+        bench.repeated(came, 1, f"{what}: requests for the unknown variable", "VD-RX-02")
         # An implementation that lost the VarCreate has a reason to send a request.
         if applied:
             _not_requested(bench, var_id, since, (_RC, _RU), "VD-RX-08")
@@ -156,7 +138,7 @@ def all_types(bench: Bench, turn: int) -> None:
     bench.until(lambda _: not missing(), bench.teaching.periods(len(expected)))
     left = missing()
     for what in expected.values():
-        bench.check(what not in left, what, "none in time")
+        bench.some(what not in left, what)
 
 
 _PLACES = ("the first", "the second", "the third")
@@ -189,8 +171,7 @@ def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> Non
     peer.send(bench.builder.container(one, two), bench.builder.container(three))
     bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.teaching.periods(6))
     missing = [number for number, var_id in enumerate(ids, 1) if not bench.instructions(answer, var_id, since)]
-    names = ", ".join(_PLACES[number - 1] for number in missing)
-    bench.check(not missing, f"effects of three {kind.label} records in two containers", f"no effect of {names} record")
+    bench.complete(missing, f"effects of three {kind.label} records in two containers")
 
 
 # -- order of processing -----------------------------------------------------------------------------------------------
@@ -215,7 +196,7 @@ def require_both_taken(bench: Bench, peer: Peer, reverse: bool) -> None:
     _send(bench, peer, (peer.create(bench.var_id()), peer.delete(doomed)), reverse)
     came = bench.until_instruction(ICType.DELETE_VARIABLES, doomed)
     what = "a VarDelete is processed that is in one payload with the VarCreate of another variable"
-    bench.require(came, what, "no VarDelete in time", "VD-RX-04")
+    bench.required(came, what, "VD-RX-04", seen="no VarDelete in time")
 
 
 @case(
@@ -234,7 +215,7 @@ def create_before_delete(bench: Bench, reverse: bool) -> None:
     bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since, "VD-RX-08")
     found = traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.SUMMARIES, _RC))
-    bench.check(not found, "no other record of the variable", f"{named(found)}", "VD-RX-08", frames=found, shown=True)
+    bench.none(found, "no other record of the variable", "VD-RX-08")
 
 
 @case(
@@ -263,17 +244,11 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
     if not deleted:
         return
     found = traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, _RC, _RU))
-    bench.check(not found, "no other record of the variable", f"{named(found)}", "VD-PD-04", frames=found, shown=True)
+    bench.none(found, "no other record of the variable", "VD-PD-04")
     # The beacons are the same for both orders of processing; only the database shows the difference.
     if entry is not None or (describes and not bench.features.removed_after_deletion):
         entry = entry or {}
-        bench.check(
-            entry.get("seqno") == 0,
-            "seqno 0: the update is not stored",
-            f"seqno {entry.get('seqno')}",
-            "VD-RX-08",
-            shown=True,
-        )
+        bench.answered(entry.get("seqno"), 0, "seqno, as the update is not stored", "VD-RX-08")
 
 
 @case(
@@ -289,9 +264,7 @@ def summary_of_update(bench: Bench, reverse: bool) -> None:
     var_id = teach_variable(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
     came = bench.until_instruction(ICType.UPDATES, var_id)
-    bench.check(
-        came is not None and came.seqno == 1, "the update is stored and forwarded", f"{came}", shown=came is not None
-    )
+    bench.equal(came and came.seqno, 1, "sequence number of the forwarded update")
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RU,))
 
@@ -335,11 +308,9 @@ def update_before_summary(bench: Bench, reverse: bool) -> None:
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 2)), reverse)
     came = bench.until_instruction(_RU, var_id)
     # If the update were stored afterwards, it would cancel the request (VD-PU-08).
-    bench.require(came is not None, "a VarReqUpdate in response to the summary", "none in time")
+    bench.required(came, "a VarReqUpdate in response to the summary")
     numbers = {each.record.seqno for each in bench.instructions(_RU, var_id, since)}
-    bench.check(
-        numbers == {1}, "the sequence number of the update, 1, in the VarReqUpdate", f"{sorted(numbers)}", shown=True
-    )
+    bench.answered(numbers, {1}, "sequence numbers in the VarReqUpdate")
 
 
 @case(
@@ -359,8 +330,7 @@ def create_before_requests(bench: Bench, reverse: bool) -> None:
         peer.request_update(var_id, 0),
     )
     since = _send(bench, peer, records, reverse)
-    came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.check(came, "the VarCreate is forwarded", "not forwarded in time")
+    bench.some(bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "the VarCreate is forwarded")
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RC, _RU))
 
@@ -410,9 +380,4 @@ def creates_in_order(bench: Bench) -> None:
     since = bench.mark()
     peer.send(first, second)
     found: list[VarCreate] = [each.record for each in bench.waiting.repeated(ICType.CREATE_VARIABLES, var_id, since)]
-    bench.check(
-        found == [first],
-        "only the first VarCreate is forwarded",
-        f"{len(found)} records: {found}",
-        shown=found,
-    )
+    bench.in_order(found, [first], "only the first VarCreate is forwarded")

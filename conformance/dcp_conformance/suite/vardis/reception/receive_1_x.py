@@ -55,7 +55,7 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
     bench.identifiers.created.add(damaged)
     peer.send(bench.builder.container(peer.summary(wanted, 1)), bad(bench, peer, damaged))
     found = bench.until_instruction(_REQUEST, wanted)
-    bench.check(found, "a request for the variable in the container before the invalid one", "none in time")
+    bench.some(found, "a request for the variable in the container before the invalid one")
 
 
 @case(
@@ -75,10 +75,4 @@ def after_the_error(bench: Bench, bad: _Bad) -> None:
     bench.require_alive("the payload")
     bench.beacons(1, 1.5)
     found = bench.instructions(_REQUEST, wanted, since)
-    bench.check(
-        not found,
-        "no request for the variable in the container after the invalid one",
-        "a request for it",
-        frames=found,
-        shown=True,
-    )
+    bench.none(found, "no request for the variable in the container after the invalid one")

@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
@@ -42,7 +42,7 @@ def foreign(bench: Bench) -> None:
     var_id = teach_variable(bench, bench.peer(), value=b"theirs")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.records.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
+    bench.answered(value, bench.records.value(b"theirs").hex(), "the value unchanged")
 
 
 @case(
@@ -74,7 +74,7 @@ def own_exists(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.records.value(b"first").hex(), "the value unchanged", f"{value}", shown=True)
+    bench.answered(value, bench.records.value(b"first").hex(), "the value unchanged")
 
 
 @case(
@@ -114,20 +114,11 @@ def _check_recreated(bench: Bench, var_id: int, mark: int, before: int, value: b
     """Check the VarCreate of the second creation; one of the first creation may have been prepared before."""
     record = bench.until(lambda heard: _recreated(heard.about(_CREATE, var_id), before))
     frames = bench.instructions(_CREATE, var_id, mark)
-    if record is None:
-        observed = "none" if not frames else f"creationTime {frames[-1].record.spec.creation_time}"
-        bench.fail(f"a VarCreate with a creationTime after {before}", observed, "VD-CRE-09", frames=frames)
-    bench.check(
-        record.upd.seqno == 0, "seqno 0 in the VarCreate", f"{record.upd.seqno}", "VD-CRE-03", frames=frames, shown=True
-    )
-    bench.check(
-        record.upd.value == value,
-        f"value {value!r} in the VarCreate",
-        f"{record.upd.value!r}",
-        "VD-CRE-03",
-        frames=frames,
-        shown=True,
-    )
+    seen = f"creationTime {frames[-1].record.spec.creation_time}" if frames else "none"
+    what = f"a VarCreate with a creationTime after {before}"
+    record = bench.required(record, what, "VD-CRE-09", seen=seen, frames=frames)
+    bench.answered(record.upd.seqno, 0, "seqno in the VarCreate", "VD-CRE-03", frames=frames)
+    bench.answered(record.upd.value, value, "value in the VarCreate", "VD-CRE-03", frames=frames)
 
 
 def _recreated(record: Any | None, before: int) -> Any | None:
@@ -165,15 +156,14 @@ def ends_deletion(bench: Bench) -> None:
     made = bench.until_quiet(lambda heard: _recreated(heard.about(_CREATE, var_id), before), since=mark)
     deletions = bench.receiver.frames_with(_DELETE, var_id, done)
     late = [heard for heard in deletions if not made or heard.time >= made[0].time]
-    bench.check(
+    bench.proved(
         len(deletions) <= 1 and not late,
         "no VarDelete, except one prepared before the creation",
         f"{len(deletions)} VarDeletes, {len(late)} of them with or after the new VarCreate",
         "VD-CRE-11",
         frames=deletions,
-        shown=True,
     )
-    check_beacons(bench, made, count, "new VarCreate", "VD-CRE-11")
+    bench.repeated(made, count, "beacons with the new VarCreate", "VD-CRE-11")
 
 
 @case(
@@ -203,16 +193,10 @@ def ends_repetitions(bench: Bench) -> None:
     bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _recreated(heard.about(_CREATE, var_id), before), since=mark)
-    check_beacons(bench, made, count, "new VarCreate")
+    bench.repeated(made, count, "beacons with the new VarCreate")
     check_one_in_each(bench, made, _CREATE, var_id)
     late = [heard for heard in bench.receiver.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
-    bench.check(
-        not late,
-        "no VarUpdate with or after the new VarCreate",
-        f"{len(late)} beacons with one",
-        frames=late,
-        shown=True,
-    )
+    bench.none(late, "no VarUpdate with or after the new VarCreate")
 
 
 @case(
@@ -234,10 +218,9 @@ def used_again(bench: Bench) -> None:
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     record = bench.until_instruction(_CREATE, var_id)
     frames = bench.instructions(_CREATE, var_id, mark)
-    ok = record is not None and record.upd.seqno == 0 and record.upd.value == bench.records.value(b"second")
-    bench.check(
-        ok, "a VarCreate of the new variable with seqno 0", f"{record}", frames=frames, shown=record is not None
-    )
+    came = record and (record.upd.seqno, record.upd.value)
+    what = "seqno and value in the VarCreate of the new variable"
+    bench.equal(came, (0, bench.records.value(b"second")), what, frames=frames)
 
 
 @case(
@@ -280,11 +263,5 @@ def request_ended(bench: Bench) -> None:
         bench.inconclusive(
             "no VarReqCreate for the node's own variable", "calls take so long that it may be sent before them"
         )
-    text = "one in every attempt"
-    bench.check(
-        not late,
-        "no VarReqCreate for the node's own variable in at least one of 3 attempts",
-        text,
-        frames=late,
-        shown=bench.verdicts.in_time,
-    )
+    what = "no VarReqCreate for the node's own variable in at least one of 3 attempts"
+    bench.none(late, what, given=bench.verdicts.in_time)

@@ -86,9 +86,7 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     ]
     teach_variables(bench, peer, creates)
     since, step = bench.mark(), _steps(bench, distance)
-    peer.send(
-        *(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates),
-    )
+    peer.send(*(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates))
     return creates, since
 
 
@@ -105,26 +103,17 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
         var_id, stored = create.spec.var_id, create.upd.seqno
         name = f"stored sequence number {stored}, received {stepped(bench, stored, step)}"
         found = traces(bench, var_id, since, INSTRUCTIONS)
-        others = [each for each in found if each.kind is not kind]
-        bench.check(
-            not others,
+        bench.every(
+            found,
+            lambda each: each.kind is kind,
             f"{name}: no record other than {kind.label}" if kind else f"{name}: no record",
-            named(others),
-            frames=others,
-            shown=True,
         )
         if kind is None:
             continue
         # The implementation sends the number it had before, or the one that it has just stored.
         number = stepped(bench, stored, step) if which == 0 and question.newer_is_stored else stored
         numbers = [each.record.seqno for each in found if each.kind is kind]
-        bench.check(
-            numbers == [number],
-            f"{name}: one {kind.label} record with {number}",
-            f"{numbers or 'none'}",
-            frames=found,
-            shown=numbers,
-        )
+        bench.in_order(numbers, [number], f"{name}: one {kind.label} record with {number}", frames=found)
 
 
 @case(
@@ -215,8 +204,7 @@ def counting(bench: Bench) -> None:
     since = bench.mark()
     var_id = produced(bench)
     created = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    first = None if created is None else created.upd.seqno
-    bench.check(first == 0, "sequence number 0 for a new variable", f"{first}", shown=created is not None)
+    bench.equal(created and created.upd.seqno, 0, "sequence number for a new variable")
     top, made = modulus(bench), 0
     targets = [1, 2, top - 2, top - 1, top, top + 1] if top == 256 else [1, 2, 20]
     for target in targets:
@@ -228,15 +216,12 @@ def counting(bench: Bench) -> None:
         def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is checked
             return any(each.record.value == want for each in bench.instructions(ICType.UPDATES, var_id, since))
 
-        came = bench.until(newest)
-        bench.require(came, f"the value of update {made}", "not sent in time")
-    wrong = [
-        each
-        for each in bench.instructions(ICType.UPDATES, var_id, since)
-        if each.record.seqno != int.from_bytes(each.record.value, "big") % top
-    ]
-    number = f"{wrong[0].record.seqno} with value {wrong[0].record.value.hex()}" if wrong else ""
-    bench.check(not wrong, "sequence number n modulo SEQNO-MODULUS in update n", number, frames=wrong, shown=True)
+        bench.required(bench.until(newest), f"the value of update {made}")
+    bench.every(
+        bench.instructions(ICType.UPDATES, var_id, since),
+        lambda each: each.record.seqno == int.from_bytes(each.record.value, "big") % top,
+        "sequence number n modulo SEQNO-MODULUS in update n",
+    )
 
 
 @case(
@@ -259,5 +244,4 @@ def counted_each(bench: Bench) -> None:
             return [each.record.seqno for each in updates if each.record.value == value]
 
         came = newest(None) or bench.until(newest)
-        observed = f"{came[0]}" if came else "the last value was not sent"
-        bench.check(came and came[0] == number, f"sequence number {number} in update {number}", observed, shown=came)
+        bench.equal(came[0] if came else None, number, "sequence number of the last update")

@@ -180,7 +180,6 @@ def _cells(table: dict[str, list[_Row]], *, effect: bool) -> Iterator[tuple[str,
             what, event = EVENTS[name]
             makes = own if column.endswith("producer") else foreign
             result = (outcome.__doc__ or "").rstrip(".") if outcome is not None else "It is ignored"
-            methods = _OWN if makes is own else ()
             yield (
                 f"{column}.{name}",
                 Variant(
@@ -189,7 +188,7 @@ def _cells(table: dict[str, list[_Row]], *, effect: bool) -> Iterator[tuple[str,
                     requirements=requirements,
                     stimulus=f"{what} of {_WORDS[column]}",
                     expect=f"{result[0].lower()}{result[1:]}",
-                    needs=Needs(since=needs.since, until=needs.until, ut=methods, when=needs.when),
+                    needs=Needs(since=needs.since, until=needs.until, ut=_OWN if makes is own else (), when=needs.when),
                 ),
             )
 
@@ -286,7 +285,7 @@ def removed(bench: Bench) -> None:
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     peer.send(peer.summary(var_id, 0))
     came = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(came, "a request for the variable, which is unknown again", "none in time")
+    bench.some(came, "a request for the variable, which is unknown again")
     peer.send(peer.create(var_id))
     came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.check(came, "a new VarCreate with its identifier is forwarded", "not forwarded in time")
+    bench.some(came, "a new VarCreate with its identifier is forwarded")

@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     EXISTS,
@@ -53,10 +53,8 @@ def announced(bench: Bench) -> None:
         bench, var_id, rep_cnt=1, descr="speed of wind", value=b"\x00\x01\xfe\xff", timeout=timeout
     )
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-14", **request)
-    record = bench.until_instruction(_V, var_id)
-    if record is None:
-        bench.fail("a VarCreate of the variable", "none in time", "VD-CRE-12")
-    bench.check(True, "a VarCreate of the variable", "", "VD-CRE-12")
+    record = bench.required(bench.until_instruction(_V, var_id), "a VarCreate of the variable", "VD-CRE-12")
+    bench.passed("a VarCreate of the variable", "VD-CRE-12")
     frames = bench.instructions(_V, var_id)
     spec, upd = record.spec, record.upd
     for name, expected, observed, requirement in (
@@ -66,23 +64,12 @@ def announced(bench: Bench) -> None:
         ("descr", bench.records.descr(b"speed of wind"), spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
         ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
     ):
-        bench.check(
-            observed == expected, f"{name} {expected!r}", f"{observed!r}", requirement, frames=frames[:1], shown=True
-        )
+        bench.answered(observed, expected, name, requirement, frames=frames[:1])
     if spec.timeout is not None:
-        bench.check(
-            spec.timeout == timeout,
-            f"timeout {timeout}",
-            f"{spec.timeout}",
-            "VD-CRE-10",
-            frames=frames[:1],
-            shown=True,
-        )
+        bench.answered(spec.timeout, timeout, "timeout", "VD-CRE-10", frames=frames[:1])
     own = record_sender(bench)
     named = ("VD-CRE-08", "VD-INI-05") if bench.features.producer_set_by_vardis else ("VD-INI-05",)
-    bench.check(
-        spec.prod_id == own, f"prodId {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1], shown=True
-    )
+    bench.answered(spec.prod_id, own, "prodId", *named, frames=frames[:1])
 
 
 def record_sender(bench: Bench) -> bytes:
@@ -107,9 +94,7 @@ def creation_time(bench: Bench) -> None:
     def created() -> tuple[int, Moment]:
         var_id = bench.identifiers.own_var_id()
         request = timed(bench, "RTDB-Create", **create_request(bench, var_id))
-        record = bench.until_instruction(_V, var_id)
-        if record is None:
-            bench.fail("a VarCreate of the variable", "none in time", "VD-CRE-09")
+        record = bench.required(bench.until_instruction(_V, var_id), "a VarCreate of the variable", "VD-CRE-09")
         bench.wait(3)
         return nanoseconds(bench, record.spec.creation_time), request
 
@@ -136,7 +121,7 @@ def repetitions(bench: Bench, name: str) -> None:
     count = count_of(bench, name)
     var_id = produced(bench, rep_cnt=count)
     frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
-    check_beacons(bench, frames, count, "VarCreate")
+    bench.repeated(frames, count, "beacons with the VarCreate")
     check_one_in_each(bench, frames, _V, var_id)
 
 
@@ -157,10 +142,10 @@ def repetitions(bench: Bench, name: str) -> None:
 )
 def summarized(bench: Bench) -> None:
     var_id = produced(bench)
-    record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.sut.reaction)
-    if record is None:
-        bench.fail("a summary of the variable", "none in time")
-    bench.check(record.seqno == 0, "seqno 0 in the summary", f"{record.seqno}", shown=True)
+    record = bench.required(
+        bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.sut.reaction), "a summary of the variable"
+    )
+    bench.answered(record.seqno, 0, "seqno in the summary")
 
 
 @case(
@@ -176,11 +161,10 @@ def summarized(bench: Bench) -> None:
 def entry(bench: Bench) -> None:
     count, before, start = max_repetitions(bench), bench.lower.wall(), bench.mark()
     var_id = produced(bench, rep_cnt=count)
-    found = entry_of(bench, var_id)
+    what = "a database entry when the request is confirmed"
+    found = bench.present(entry_of(bench, var_id), what, "VD-CRE-14")
+    bench.passed(what, "VD-CRE-14")
     least = least_left(bench, count, start)
-    if found is None:
-        bench.fail("a database entry when the request is confirmed", "no entry", "VD-CRE-14", shown=True)
-    bench.check(True, "a database entry when the request is confirmed", "", "VD-CRE-14")
     for name, values in (
         ("seqno", (0,)),
         ("countCreate", tuple(range(least, count + 1))),
@@ -191,10 +175,10 @@ def entry(bench: Bench) -> None:
         if name in found:
             observed = found[name]
             expected = f"{values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
-            bench.check(observed in values, f"{name} {expected}", f"{observed}", "VD-CRE-10", shown=True)
+            bench.proved(observed in values, f"{name} {expected}", observed, "VD-CRE-10")
     stamp, slack = found.get("tStamp"), bench.sut.pixit.clock_tolerance_ms * MS
     near = stamp is None or before - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", "VD-CRE-10", shown=True)
+    bench.proved(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", stamp, "VD-CRE-10")
 
 
 @case(
@@ -212,13 +196,9 @@ def producer(bench: Bench) -> None:
         bench.info("Does RTDB-Create accept prodId as a parameter?", f"no: {answer}")
         return
     bench.services.check_status(answer, (OK,), "RTDB-Create")
-    record = bench.until_instruction(_V, var_id)
-    if record is None:
-        bench.fail("a VarCreate of the variable", "none in time")
+    record = bench.required(bench.until_instruction(_V, var_id), "a VarCreate of the variable")
     shown, own = record.spec.prod_id, record_sender(bench)
-    bench.check(
-        shown == own, f"prodId {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1], shown=True
-    )
+    bench.answered(shown, own, "prodId", frames=bench.instructions(_V, var_id)[:1])
 
 
 # -- limits ------------------------------------------------------------------------------------------------------------
@@ -242,8 +222,7 @@ def accepted(bench: Bench, requirement: str, **request: Any) -> None:
     var_id = bench.identifiers.own_var_id()
     request = {"descr": "d", "value": b"v"} | request
     bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, exact=True, **request))
-    shown = bench.until_instruction(_V, var_id) is not None
-    bench.check(shown, "a VarCreate of the variable", "none in time", requirement)
+    bench.some(bench.until_instruction(_V, var_id) is not None, "a VarCreate of the variable", requirement)
 
 
 @case(
@@ -374,8 +353,7 @@ def empty_description(bench: Bench) -> None:
     bench.require_alive("a variable without a description")
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
-        observed = f"empty_description = {str(claimed).lower()}, as the PICS claims"
-        bench.check(claimed == answer.ok, observed, f"{answer}", shown=True)
+        bench.answered(answer.ok, claimed, "an empty description is accepted, as empty_description in the PICS claims")
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,
     OK,
@@ -53,18 +53,17 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     bench.expect_status(OK, "RTDB-Delete", varId=var_id)
     done = bench.mark()
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarDelete")
+    bench.repeated(frames, count, "beacons with the VarDelete")
     check_one_in_each(bench, frames, _D, var_id)
     # A beacon prepared before the request may still be sent.
     for kind in _OTHERS:
         others = bench.receiver.frames_with(kind, var_id, done)
         late = [heard for heard in others if frames and heard.time >= frames[0].time]
-        bench.check(
+        bench.proved(
             len(others) <= 1 and not late,
             f"no {kind.label} record of the variable, except in a beacon prepared before the request",
             f"in {len(others)} beacons, {len(late)} of them with or after the first VarDelete",
             frames=others,
-            shown=True,
         )
 
 
@@ -103,10 +102,8 @@ def entry(bench: Bench) -> None:
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     start = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)
-    found = entry_of(bench, var_id)
+    found = bench.present(entry_of(bench, var_id), "a database entry of the deleted variable")
     least = least_left(bench, count, start)
-    if found is None:
-        bench.fail("a database entry of the deleted variable", "no entry", shown=True)
     for name, low, high in (
         ("isDeleted", True, True),
         ("countDelete", least, count),
@@ -114,7 +111,7 @@ def entry(bench: Bench) -> None:
         ("countUpdate", 0, 0),
     ):
         if name in found:
-            bench.check(low <= found[name] <= high, f"{name} from {low} to {high}", f"{found[name]}", shown=True)
+            bench.proved(low <= found[name] <= high, f"{name} from {low} to {high}", found[name])
 
 
 @case(
@@ -130,9 +127,8 @@ def stays(bench: Bench) -> None:
     var_id = produced(bench)
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
-    answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-    found = described(answer)
-    bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}", shown=True)
+    found = described(bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id))
+    bench.answered(found.get("isDeleted", True), True, "isDeleted")
 
 
 @case(
@@ -167,8 +163,7 @@ def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
     bench.require_alive("RTDB-Delete for an unknown variable")
-    frames = bench.receiver.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
+    bench.none(bench.receiver.frames_with(_D, var_id), "no VarDelete")
 
 
 @case(
@@ -184,14 +179,12 @@ def foreign(bench: Bench) -> None:
     bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
     bench.require_alive("RTDB-Delete for a variable of another node")
     answer = bench.call("RTDB-Read", varId=var_id)
-    bench.check(
+    bench.proved(
         answer.ok and answer.result.get("value") == bench.records.value(b"theirs").hex(),
         "the variable still exists",
-        str(answer),
-        shown=True,
+        answer,
     )
-    frames = bench.receiver.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
+    bench.none(bench.receiver.frames_with(_D, var_id), "no VarDelete")
 
 
 @case(
@@ -229,6 +222,6 @@ def twice(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     expect_any(bench, statuses_after_deletion(bench), "RTDB-Delete", varId=var_id)
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarDelete")
+    bench.repeated(frames, count, "beacons with the VarDelete")
     status = UNKNOWN if bench.features.removed_after_deletion else deleted_status(bench)
     bench.expect_status(status, "RTDB-Delete", varId=var_id)

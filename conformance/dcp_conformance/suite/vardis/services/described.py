@@ -50,14 +50,7 @@ def _compare(bench: Bench, found: dict[str, Any], expected: dict[str, Any], *req
         observed = found.get(name)
         if name == "prodId":
             observed, value = str(observed).replace(":", "").lower(), str(value).replace(":", "")
-        bench.check(
-            observed == value,
-            f"{name} {value!r}",
-            f"{observed!r}",
-            *requirements,
-            shown=True,
-            field="creationTime" if name == "creationTime" else None,
-        )
+        bench.answered(observed, value, name, *requirements, field="creationTime" if name == "creationTime" else None)
 
 
 @case(
@@ -71,9 +64,7 @@ def _compare(bench: Bench, found: dict[str, Any], expected: dict[str, Any], *req
 )
 def rows(bench: Bench, kind: str) -> None:
     record = _made(bench, kind)
-    row = listed(bench).get(record.spec.var_id)
-    if row is None:
-        bench.fail("the variable in the list", "not in the list", shown=True)
+    row = bench.present(listed(bench).get(record.spec.var_id), "the variable in the list")
     _compare(bench, row, _expected(record.spec))
 
 
@@ -96,8 +87,7 @@ def entry(bench: Bench, kind: str) -> None:
     rest = {"value": record.upd.value.hex(), "seqno": record.upd.seqno, "isDeleted": False, **counters}
     _compare(bench, found, _expected(record.spec) | rest)
     read = bench.must("RTDB-Read", varId=record.spec.var_id).result.get("tStamp")
-    told = found.get("tStamp")
-    bench.check(told == read, f"tStamp {read}, as in RTDB-Read", f"{told}", shown=True)
+    bench.answered(found.get("tStamp"), read, "tStamp, as in RTDB-Read")
 
 
 @case(
@@ -118,12 +108,11 @@ def confirms(bench: Bench) -> None:
     value = bench.records.value(b"\x01\x02").hex()
     answers = [bench.must("RTDB-Update", varId=var_id, value=value)]
     read = bench.must("RTDB-Read", varId=var_id)
-    told = read.result.get("value")
-    bench.check(told == value, "the value of the preceding RTDB-Update in RTDB-Read", f"{told!r}", shown=True)
+    bench.answered(read.result.get("value"), value, "the value of the preceding RTDB-Update in RTDB-Read")
     answers += [bench.must("RTDB-Delete", varId=var_id), bench.call("RTDB-Read", varId=var_id)]
-    bench.check(not answers[-1].ok, "a rejection of RTDB-Read after RTDB-Delete", f"{answers[-1]}", shown=True)
+    bench.proved(not answers[-1].ok, "a rejection of RTDB-Read after RTDB-Delete", f"{answers[-1]}")
     answers.append(bench.call("RTDB-Read", varId=bench.unknown_id()))
     for answer in answers:
         extra = sorted(set(answer.result) & {"value", "tStamp"})
         what = f"for {answer} a status, and neither value nor tStamp"
-        bench.check(not any(answer.result.get(each) is not None for each in extra), what, f"{extra}", shown=True)
+        bench.proved(not any(answer.result.get(each) is not None for each in extra), what, f"{extra}")

@@ -60,23 +60,21 @@ def _kept(bench: Bench, name: str) -> Iterator[None]:
 
 def _check_taken(bench: Bench, name: str, *values: int) -> None:
     for value in values:
-        answer = bench.call(_SET, name=name, value=value)
-        shown = _in_force(bench, name)
-        bench.check(shown == value, f"{name} = {value} is accepted", f"{answer}; its value is {shown}", shown=True)
+        bench.call(_SET, name=name, value=value)
+        bench.answered(_in_force(bench, name), value, f"{name} after a valid value was set")
 
 
 def _check_refused(bench: Bench, name: str, *values: float) -> None:
     for value in values:
         before = _in_force(bench, name)
-        answer = bench.call(_SET, name=name, value=value)
+        bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
         # Rejected values are just beyond a limit; one further if it is open whether a NUL counts.
         nearest = shown != before and shown != value and abs(shown - value) <= _BEYOND
         if nearest and name.startswith("VARDISPAR_"):
             bench.reading("X39", "nearest-value")
             continue
-        what = f"{name} = {value} is rejected"
-        bench.check(shown == before, what, f"{answer}; its value is {shown}, before it was {before}", shown=True)
+        bench.answered(shown, before, f"{name} after {value} was rejected")
 
 
 def _is_least(bench: Bench, name: str) -> str | None:
@@ -138,7 +136,7 @@ def defaults(bench: Bench) -> None:
     for name, requirement in ((_VALUE, "VD-PAR-02"), (_DESCR, "VD-PAR-03")):
         shown = _in_force(bench, name) if _GET in bench.services.upper.methods else _tried(bench, name)
         if shown in (None, 32):
-            bench.check(shown == 32, f"{name} is 32", "not returned by VD-GetParameters", requirement, shown=True)
+            bench.answered(shown, 32, name, requirement)
         else:
             bench.info(f"Is {name} 32 octets, the default?", f"{shown}", requirement)
 
@@ -181,12 +179,7 @@ def value_length_and_payload(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _VALUE):
         answer = bench.call(_SET, name=_VALUE, value=bound)
         taken = _in_force(bench, _VALUE) == bound
-        bench.check(
-            taken == answer.ok,
-            f"{_VALUE} = {bound} is accepted if and only if the status is OK",
-            str(answer),
-            shown=True,
-        )
+        bench.answered(answer.ok, taken, f"status OK for {_VALUE} = {bound} if and only if it is in force")
         # The longest value with which a VarCreate with the longest description fits.
         fits = bench.sut.parameter(_VALUE) + 8
         if taken:
@@ -352,8 +345,7 @@ def description_effect(bench: Bench) -> None:
         request = create_request(bench, bench.identifiers.own_var_id(), descr="d" * (longest - 1))
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
-        shown = described(answer).get("descr")
-        bench.check(shown == "d" * longest, "the full description of the old variable", f"{shown}", shown=True)
+        bench.answered(described(answer).get("descr"), "d" * longest, "the full description of the old variable")
 
 
 @case(
@@ -372,8 +364,7 @@ def value_effect(bench: Bench) -> None:
     var_id = produced(bench, value=b"v" * longest)
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
-        shown = answer.result.get("value")
-        bench.check(shown == (b"v" * longest).hex(), "the old value unchanged", f"{shown}", shown=True)
+        bench.answered(answer.result.get("value"), (b"v" * longest).hex(), "the old value unchanged")
         bench.expect_status(VALUE_TOO_LONG, "RTDB-Update", varId=var_id, value=(b"w" * longest).hex())
         bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"w" * (longest - 1)).hex())
 
@@ -400,13 +391,7 @@ def repetitions_effect(bench: Bench) -> None:
         bench.must("RTDB-Update", varId=old, value=bench.records.value(b"newer").hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)
         # The parameter limits the contents of beacons, which can also be read as a limit of 2 from now on.
-        bench.check(
-            len(frames) in (2, 3),
-            "3 beacons with its VarUpdate (or 2)",
-            f"{len(frames)}",
-            frames=frames,
-            shown=len(frames) > 3,
-        )
+        bench.repeated(frames, 2, "beacons with its VarUpdate", most=3)
         bench.info("How many repetitions does a variable with more than the new maximum get?", f"{len(frames)} of 3")
 
 
@@ -435,17 +420,14 @@ def summaries_effect(bench: Bench, most: int) -> None:
         mark = bench.mark()
         bench.wait(5)
         frames = bench.heard[mark:]
-        over = [heard for heard in frames if len(heard.instructions(ICType.SUMMARIES)) > most]
-        bench.check(
-            not over,
+        bench.every(
+            frames,
+            lambda heard: len(heard.instructions(ICType.SUMMARIES)) <= most,
             f"at most {most} summaries in each beacon",
-            f"{len(over)} beacons with more",
-            frames=over,
-            shown=True,
         )
         if most:
             some = any(heard.instructions(ICType.SUMMARIES) for heard in frames)
-            bench.check(some, "at least one summary", f"none in {len(frames)} beacons")
+            bench.some(some, "at least one summary", seen=f"none in {len(frames)} beacons")
     bench.require_alive("a new maximum number of summaries")
 
 
@@ -462,8 +444,7 @@ def complete(bench: Bench) -> None:
     named = [name for name, each in parameters().items() if each.protocol == "VD" and each.since <= version]
     told = bench.must(_GET).result.get("parameters", {})
     for name in named:
-        bench.check(name in told, f"{name} exists", "not returned by VD-GetParameters", shown=True)
+        bench.proved(name in told, f"{name} exists", "not returned by VD-GetParameters")
         if name in told:
             bench.must(_SET, name=name, value=told[name])
-            shown = _in_force(bench, name)
-            bench.check(shown == told[name], f"{name} = {told[name]} is accepted", f"its value is {shown}", shown=True)
+            bench.answered(_in_force(bench, name), told[name], f"{name} after it was set to the value that it had")

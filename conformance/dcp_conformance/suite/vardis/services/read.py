@@ -9,7 +9,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import REPLACES, Needs, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.services import (
     INACTIVE,
@@ -45,7 +45,7 @@ def own(bench: Bench) -> None:
     first = _read(bench, var_id, bench.records.value(b"first"))
     slack, stamp = bench.sut.pixit.clock_tolerance_ms * MS, first.get("tStamp")
     near = isinstance(stamp, int) and begun - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", shown=True)
+    bench.proved(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", stamp)
 
     def update(value: bytes) -> None:
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
@@ -55,8 +55,7 @@ def own(bench: Bench) -> None:
 
 def _read(bench: Bench, var_id: int, value: bytes) -> dict[str, Any]:
     answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
-    shown = answer.result.get("value")
-    bench.check(shown == value.hex(), f"value {value!r}", f"{shown}", shown=True)
+    bench.answered(answer.result.get("value"), value.hex(), "value")
     return answer.result
 
 
@@ -108,7 +107,7 @@ def foreign(bench: Bench) -> None:
 )
 def unknown(bench: Bench) -> None:
     answer = bench.expect_status(UNKNOWN, "RTDB-Read", varId=bench.unknown_id())
-    bench.check("value" not in answer.result, "no value", f"{answer.result.get('value')}", shown=True)
+    bench.proved("value" not in answer.result, "no value", answer.result.get("value"))
 
 
 @case(
@@ -128,11 +127,8 @@ def deleted(bench: Bench) -> None:
     theirs = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
     delete_taught_variable(bench, peer, theirs)
     answers.append(expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=theirs))
-    bench.check(
-        not any("value" in answer.result for answer in answers),
-        "no value in the rejections",
-        "a value in at least one",
-        shown=True,
+    bench.proved(
+        not any("value" in answer.result for answer in answers), "no value in the rejections", "a value in at least one"
     )
 
 
@@ -162,14 +158,12 @@ def database(bench: Bench) -> None:
     ):
         found = table.get(var_id)
         if found is None:
-            bench.check(False, f"variable {var_id} in the list", "not in the list", shown=True)
+            bench.proved(False, f"variable {var_id} in the list", "not in the list")
             continue
-        shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
-        bench.check(
-            shown == (producer.hex(), 1, bench.records.descr(descr.encode()).decode()),
-            f"prodId, repCnt and descr of variable {var_id} as created",
-            f"{shown}",
-            shown=True,
+        bench.answered(
+            (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr")),
+            (producer.hex(), 1, bench.records.descr(descr.encode()).decode()),
+            "prodId, repCnt and descr, as created",
         )
 
 
@@ -190,9 +184,7 @@ def extra_fields(bench: Bench) -> None:
         "Which fields does RTDB-DescribeDatabase have in addition to those of VarSpecT?", ", ".join(extra) or "none"
     )
     if claimed is not None:
-        bench.check(
-            bool(extra) == claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}", f"{extra}", shown=True
-        )
+        bench.answered(bool(extra), claimed, "further fields, as [pics] describe_extra_fields claims")
 
 
 @case(
@@ -209,23 +201,18 @@ def database_with_deleted(bench: Bench) -> None:
     gone, kept = produced(bench, rep_cnt=count), produced(bench)
     bench.must("RTDB-Delete", varId=gone)
     table = listed(bench)
-    bench.check(kept in table, "the existing variable in the list", "not in the list", shown=True)
+    bench.proved(kept in table, "the existing variable in the list", "not in the list")
     if not bench.features.removed_after_deletion or count > 2:
-        bench.check(gone in table, "the deleted variable in the list", "not in the list", shown=True)
+        bench.proved(gone in table, "the deleted variable in the list", "not in the list")
     bench.until_quiet(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, gone))
     later = listed(bench)
     if bench.features.removed_after_deletion:
-        bench.check(
-            gone not in later,
-            "the deleted variable not in the list after its last VarDelete",
-            "still in the list",
-            shown=True,
+        bench.proved(
+            gone not in later, "the deleted variable not in the list after its last VarDelete", "still in the list"
         )
     else:
-        bench.check(
-            gone in later, "the deleted variable in the list after its last VarDelete", "not in the list", shown=True
-        )
-    bench.check(kept in later, "the existing variable still in the list", "not in the list", shown=True)
+        bench.proved(gone in later, "the deleted variable in the list after its last VarDelete", "not in the list")
+    bench.proved(kept in later, "the existing variable still in the list", "not in the list")
 
 
 @case(
@@ -238,7 +225,7 @@ def database_with_deleted(bench: Bench) -> None:
 )
 def describe_unknown(bench: Bench) -> None:
     answer = bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=bench.unknown_id())
-    bench.check("variable" not in answer.result, "no entry", f"{answer.result.get('variable')}", shown=True)
+    bench.proved("variable" not in answer.result, "no entry", answer.result.get("variable"))
 
 
 @case(
@@ -257,8 +244,7 @@ def describe(bench: Bench) -> None:
         (mine, bench.identifiers.sut_id, "mine", bench.records.value(b"own"), 0),
         (theirs, peer.node_id, "theirs", bench.records.value(b"foreign"), 7),
     ):
-        answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-        found = described(answer)
+        found = described(bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id))
         wanted = {
             "varId": var_id,
             "repCnt": 1,
@@ -266,13 +252,9 @@ def describe(bench: Bench) -> None:
             "value": value.hex(),
             "seqno": seqno,
         }
-        shown = {name: found.get(name) for name in wanted}
-        bench.check(shown == wanted, f"{wanted}", f"{shown}", shown=True)
-        shown_producer = str(found.get("prodId")).replace(":", "")
-        bench.check(shown_producer == producer.hex(), f"prodId {producer.hex()}", shown_producer, shown=True)
-        bench.check(
-            found.get("isDeleted", False) is False, "isDeleted is false", f"{found.get('isDeleted')}", shown=True
-        )
+        bench.answered({name: found.get(name) for name in wanted}, wanted, "the fields of the variable")
+        bench.answered(str(found.get("prodId")).replace(":", ""), producer.hex(), "prodId")
+        bench.answered(found.get("isDeleted", False), False, "isDeleted")
 
 
 @case(
@@ -292,8 +274,7 @@ def describe_deleted(bench: Bench) -> None:
     gone = (UNKNOWN,) if bench.features.removed_after_deletion and count <= 2 else ()
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
-        flag = described(answer).get("isDeleted", True)
-        bench.check(flag is True, "isDeleted is true", f"{flag}", shown=True)
+        bench.answered(described(answer).get("isDeleted", True), True, "isDeleted")
 
 
 # -- applications ------------------------------------------------------------------------------------------------------
@@ -339,11 +320,10 @@ def two_clients(bench: Bench) -> None:
                 bench.services.check_status(answer, (UNKNOWN,), "RTDB-Read")
                 for reader in clients:
                     answer = bench.services.call_on(reader, "RTDB-Read", varId=var_id)
-                    bench.check(
+                    bench.proved(
                         answer.ok and answer.result.get("value") == value.hex(),
                         f"{OK} with {value!r} in the answer to RTDB-Read",
                         f"{answer}, {answer.result.get('value')}",
-                        shown=True,
                     )
     finally:
         second.close()
@@ -353,6 +333,7 @@ def two_clients(bench: Bench) -> None:
     "TC_VD_SRV_BO_01",
     "VarDis rejects requests while it is not registered with BP",
     requirements="VD-SRV-01",
+    alone=REPLACES,
     stimulus="a variable is created; BP-DeregisterProtocol for protocol 2; then the six VarDis services",
     expect="VARDIS-STATUS-INACTIVE each time, or no response (X30, from 1.2 on), within two beacon periods",
     window=8,
@@ -399,11 +380,11 @@ def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
         answer = bench.call(method, **params)
     except NoAnswerError as error:
         bench.reading("X30", "no-response")
-        bench.check(may_be_silent, f"{INACTIVE} in the answer to {method}", str(error))
+        bench.some(may_be_silent, f"{INACTIVE} in the answer to {method}", seen=error)
         return False
     if answer.code == NO_RESPONSE:
         bench.reading("X30", "no-response")
-        bench.check(may_be_silent, f"{INACTIVE} in the answer to {method}", "no answer")
+        bench.some(may_be_silent, f"{INACTIVE} in the answer to {method}")
     else:
         inactive = bench.services.check_status(answer, (INACTIVE,), method)
         if inactive:
@@ -432,4 +413,4 @@ def refusals_confirmed(bench: Bench) -> None:
             answer = bench.call(method, **params)
             bench.services.require_asked(answer, f"a confirm of {method} with a rejection")
             confirmed = answer.code is None and bool(answer.status)
-            bench.check(confirmed and not answer.ok, f"a confirm of {method} with a rejection", str(answer), shown=True)
+            bench.proved(confirmed and not answer.ok, f"a confirm of {method} with a rejection", answer)

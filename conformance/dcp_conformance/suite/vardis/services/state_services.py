@@ -23,7 +23,7 @@ from dcp_conformance.test_steps.services import (
     deleted_status,
     same_status,
 )
-from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_state, stepped, traces
 from dcp_conformance.test_system.bench import MS, Bench
 
 METHODS = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")
@@ -129,8 +129,7 @@ def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction |
     wanted = [each for each in INSTRUCTIONS if each is not kind]
     if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
         wanted.remove(ICType.DELETE_VARIABLES)
-    others = traces(bench, where.var_id, since, wanted)
-    bench.check(not others, f"no records other than {kind.label}", f"{named(others)}", frames=others, shown=True)
+    bench.none(traces(bench, where.var_id, since, wanted), f"no records other than {kind.label}")
     return found[-1] if found else None
 
 
@@ -139,24 +138,17 @@ def _created(bench: Bench, where: Place, since: int) -> None:
     if found is None:
         return
     spec, upd = found.record.spec, found.record.upd
-    bench.check(
-        (spec.prod_id, upd.seqno, upd.value) == (bench.identifiers.sut_id, 0, bench.records.value(_VALUE)),
-        "a VarCreate with the node as producer, sequence number 0 and the given value",
-        f"producer {spec.prod_id.hex(':')}, sequence number {upd.seqno}, value {upd.value.hex()}",
+    bench.answered(
+        (spec.prod_id, upd.seqno, upd.value),
+        (bench.identifiers.sut_id, 0, bench.records.value(_VALUE)),
+        "producer, sequence number and value of the VarCreate",
         frames=[found],
-        shown=True,
     )
     before = where.stored.spec.creation_time if where.stored is not None else None
     if spec.creation_time is not None and before is not None:
         later = f"{spec.creation_time}, before it {before}"
         bench.excuses.relies_on("creationTime")
-        bench.check(
-            spec.creation_time > before,
-            "a later creationTime",
-            later,
-            frames=[found],
-            shown=True,
-        )
+        bench.proved(spec.creation_time > before, "a later creationTime", later, frames=[found])
 
 
 def _updated(bench: Bench, where: Place, since: int) -> None:
@@ -164,30 +156,27 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
     if found is None or where.stored is None:
         return
     expected = (stepped(bench, where.stored.upd.seqno, 1), bench.records.value(_VALUE))
-    came = (found.record.seqno, found.record.value)
-    bench.check(came == expected, f"sequence number and value {expected}", f"{came}", frames=[found], shown=True)
+    bench.answered((found.record.seqno, found.record.value), expected, "sequence number and value", frames=[found])
 
 
 def _deleted(bench: Bench, where: Place, since: int) -> None:
     _only(bench, where, ICType.DELETE_VARIABLES, since)
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
-    held = ask(bench, where.var_id)
-    bench.check(held.state == after, f"state of the variable: {after}", str(held), shown=held.shown)
+    check_state(bench, ask(bench, where.var_id), after, "state of the variable")
 
 
 def _unchanged(bench: Bench, where: Place, since: int) -> None:
     """Check that a rejected request, or RTDB-Read, has changed nothing."""
-    deleting = where.state.startswith("deleted") and bench.features.removed_after_deletion
-    if deleting:
+    if where.state.startswith("deleted") and bench.features.removed_after_deletion:
         return
     bench.require_alive("the request")
     found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
-    bench.check(not found, "no record as a reaction", f"{named(found)}", frames=found, shown=True)
+    bench.none(found, "no record as a reaction")
     held = ask(bench, where.var_id)
     expected = where.state.partition("-")[0]
-    bench.check(held.state == expected, f"state of the variable: {expected}, as before", str(held), shown=held.shown)
+    check_state(bench, held, expected, "state of the variable, as before")
     if expected == "alive":
-        bench.check(held.record == where.stored, "the stored contents unchanged", str(held), shown=True)
+        bench.answered(held.record, where.stored, "the stored contents unchanged")
 
 
 _EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _deleted, "RTDB-Read": _unchanged}
@@ -256,13 +245,7 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
     if disputed and any(map(answer.is_status, (*usual, disputed))):
         bench.reading("X20", "by-description" if answer.is_status(disputed) else "by-steps")
     if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
-        value = answer.result.get("value")
-        bench.check(
-            value == where.stored.upd.value.hex(),
-            f"value {where.stored.upd.value.hex()}",
-            f"{value}",
-            shown=True,
-        )
+        bench.answered(answer.result.get("value"), where.stored.upd.value.hex(), "value")
     if not answer.ok:
         _unchanged(bench, where, since)
     elif not where.fleeting:
@@ -306,31 +289,22 @@ def timeout(bench: Bench, state: str) -> None:
     window = (lapse + scrubbing + bench.sut.pixit.timer_tolerance_ms) * MS / bench.period + bench.sut.reaction
     if state.startswith("deleted"):
         bench.wait(window)
-        found = traces(bench, var_id, since)
-        bench.check(not found, "no record of a deleted variable", f"{named(found)}", frames=found, shown=True)
+        bench.none(traces(bench, var_id, since), "no record of a deleted variable")
         return
     came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
     if not came:
         bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     if not came and state.endswith("consumer"):
-        held = ask(bench, var_id)
-        if bench.check(
-            held.state == "alive", "a variable that is not scrubbed still exists", str(held), shown=held.shown
-        ):
+        if check_state(bench, ask(bench, var_id), "alive", "state of a variable that is not scrubbed"):
             bench.reading("X26", "producer-only")
         return
     late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
-    bench.require(came, f"a VarDelete {late}", "none in time")
+    bench.required(came, f"a VarDelete {late}")
     passed = (came[0].heard.time - begun) // MS if came else 0
-    bench.check(
-        passed >= lapse,
-        f"not before {lapse} ms after its creation",
-        f"{passed} ms after its creation",
-        frames=came,
-        shown=True,
+    bench.proved(
+        passed >= lapse, f"not before {lapse} ms after its creation", f"{passed} ms after its creation", frames=came
     )
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     if state.endswith("consumer"):
         bench.reading("X26", "every-node")
-    held = ask(bench, var_id)
-    bench.check(held.state == "deleted", "state of the variable: deleted", str(held), shown=held.shown)
+    check_state(bench, ask(bench, var_id), "deleted", "state of the variable")

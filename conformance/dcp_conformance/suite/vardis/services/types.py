@@ -19,6 +19,7 @@ from dcp_conformance.test_steps.services import (
     produced,
     teach_variable,
 )
+from dcp_conformance.test_steps.time_stamps import stamp_in
 from dcp_conformance.test_steps.variable_queries import ask, teach_variables
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -56,7 +57,7 @@ def _everything(bench: Bench, peer: Peer) -> int:
 
     bench.until(lambda _: complete(), 2 * bench.sut.reaction)
     missing = ", ".join(sorted({kind.label for kind, var_id in wanted if not bench.instructions(kind, var_id, since)}))
-    bench.check(not missing, "records of all six types", f"none of {missing}", "VD-TYP-07", "VD-IC-02")
+    bench.complete(missing, "records of all six types", "VD-TYP-07 VD-IC-02")
     return since
 
 
@@ -90,21 +91,15 @@ def layout(bench: Bench) -> None:
     broken = [heard for heard in frames if _faults(heard)]
     problem = _faults(broken[0])[0] if broken else None
     for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
-        what = "beacons with the layout of the profile"
-        bench.check(not broken, what, f"{problem}", requirement, frames=broken[:5], shown=True)
+        bench.none(broken, "beacons with the layout of the profile", requirement, seen=problem)
     if bench.features.creation_time:
         specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
-        bench.check(
-            specs, "varId, prodId, repCnt, creationTime, timeout and descr in each VarSpecT", "none", "VD-TYP-05"
-        )
+        bench.some(specs, "varId, prodId, repCnt, creationTime, timeout and descr in each VarSpecT", "VD-TYP-05")
     empty = [heard for heard in frames if _has_empty_container(heard)]
     empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
-    bench.check(
-        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:5], shown=True
-    )
+    bench.none(empty, "a record in every container", "VD-IC-03")
     types = {each.ic_type for heard in frames for each in heard.containers}
-    strange = types - {bench.builder.ic_type(kind) for kind in ICType}
-    bench.check(not strange, "one of the six types as icType", f"{sorted(strange)}", "VD-IC-02", shown=True)
+    bench.none(types - {bench.builder.ic_type(kind) for kind in ICType}, "one of the six types as icType", "VD-IC-02")
 
 
 @case(
@@ -125,20 +120,9 @@ def lengths(bench: Bench) -> None:
         value = bytes(0x40 + index % 64 for index in range(length))
         peer.send(peer.update(var_id, seqno, value))
         came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.check(
-            came is not None and came.value == value,
-            f"a value of {length} octets is forwarded unchanged",
-            f"{came}",
-            shown=came is not None,
-        )
+        bench.equal(came and came.value, value, f"the value of {length} octets, forwarded unchanged")
     held = ask(bench, var_id)
-    stored = held.record is not None and held.record.upd.value == value
-    bench.check(
-        stored,
-        f"the last value {value.hex()} in the database",
-        str(held),
-        shown=came is not None and held.record is not None,
-    )
+    bench.equal(held.record and held.record.upd.value, value, "the last value in the database", given=came)
 
 
 @case(
@@ -160,7 +144,7 @@ def timeouts(bench: Bench) -> None:
         var_id = produced(bench, timeout=timeout)
         came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         observed = came.spec.timeout if isinstance(came, VarCreate) else None
-        bench.check(observed == timeout, f"a VarCreate with timeout {timeout}", f"{observed}", shown=came is not None)
+        bench.equal(observed, timeout, "timeout of the VarCreate", given=came)
 
 
 @case(
@@ -189,14 +173,12 @@ def payload_size(bench: Bench) -> None:
         bench.sut.reaction + 6,
     )
     came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
-    bench.check(wanted <= came, f"all {count} VarCreates", f"{len(wanted - came)} missing")
+    bench.some(wanted <= came, f"all {count} VarCreates", seen=f"{len(wanted - came)} missing")
     blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
     long = [heard for heard, octets in blocks if octets > limit]
     longest = max((octets for _, octets in blocks), default=0)
     bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
-    bench.check(
-        not long, f"payloads of at most {limit} octets", f"a payload of {longest} octets", frames=long[:3], shown=True
-    )
+    bench.none(long, f"payloads of at most {limit} octets", seen=f"a payload of {longest} octets")
     several = any(
         count > 1 for heard in bench.heard for count in Counter(each.ic_type for each in heard.containers).values()
     )
@@ -210,21 +192,13 @@ def payload_size(bench: Bench) -> None:
 
 
 def _entry(bench: Bench, var_id: int) -> dict[str, Any]:
-    entry = entry_of(bench, var_id)
-    if entry is None:
-        bench.fail(f"an answer of RTDB-DescribeVariable about variable {var_id}", "no entry", shown=True)
-    return entry
+    return bench.present(entry_of(bench, var_id), f"an answer of RTDB-DescribeVariable about variable {var_id}")
 
 
 def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requirements: str) -> None:
     for name, value in expected.items():
-        bench.check(
-            entry.get(name) == value,
-            f"{name} {value!r}",
-            f"{entry.get(name)!r}",
-            *requirements,
-            shown=True,
-            field="creationTime" if name == "creationTime" else None,
+        bench.answered(
+            entry.get(name), value, name, *requirements, field="creationTime" if name == "creationTime" else None
         )
 
 
@@ -263,7 +237,7 @@ def entry_of_received(bench: Bench) -> None:
     bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     count = _entry(bench, var_id).get("countCreate")
     right = isinstance(count, int) and 0 <= count <= spec.rep_cnt
-    bench.check(right, f"countCreate at most {spec.rep_cnt} (repCnt)", f"{count}", "VD-DB-01", shown=True)
+    bench.proved(right, f"countCreate at most {spec.rep_cnt} (repCnt)", count, "VD-DB-01")
 
 
 @case(
@@ -281,7 +255,7 @@ def one_entry(bench: Bench) -> None:
     bench.require_alive("several records about the variable")
     found = bench.must("RTDB-DescribeDatabase").result.get("variables")
     same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
-    bench.check(len(same) == 1, "one entry with the identifier", f"{len(same)} entries", shown=True)
+    bench.answered(len(same), 1, "entries with the identifier")
 
 
 @case(
@@ -311,9 +285,9 @@ def stays(bench: Bench, own: bool) -> None:
     bench.wait(2)
     # Each row is a VarSpecT; isDeleted is an optional addition (VD-DDB-03).
     row = listed(bench).get(var_id)
-    bench.check(row is not None, "the variable in the list", "not in the list", shown=True)
+    bench.proved(row is not None, "the variable in the list", "not in the list")
     flag = True if row is None else row.get("isDeleted", True)
-    bench.check(flag is True, "isDeleted true, if the list has this field", f"{flag}", shown=True)
+    bench.answered(flag, True, "isDeleted, if the list has this field")
     _expect(bench, _entry(bench, var_id), {"isDeleted": True, "countDelete": 0, "countCreate": 0, "countUpdate": 0})
 
 
@@ -331,12 +305,8 @@ def time_stamp(bench: Bench) -> None:
 
     def stamp(after: int) -> int:
         """Return the time stamp of the variable, after checking that it is between ``after`` and now."""
-        found = _entry(bench, var_id).get("tStamp")
-        if not isinstance(found, int):
-            bench.fail("a number of nanoseconds as tStamp", f"{found!r}", shown=True)
-        now = bench.lower.wall()
-        right = after - tolerance <= found <= now + tolerance
-        bench.check(right, f"tStamp between {after} and {now} (+- {tolerance} ns)", f"{found}", shown=True)
+        found = stamp_in(bench, _entry(bench, var_id))
+        bench.within(found, after - tolerance, bench.lower.wall() + tolerance, "tStamp in ns", late="neither")
         return found
 
     begun = bench.lower.wall()
@@ -345,9 +315,7 @@ def time_stamp(bench: Bench) -> None:
     bench.wait(2)
     peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))
     bench.require_alive("records that are not accepted")
-    bench.check(
-        stamp(begun) == created, "tStamp unchanged by records that are not accepted", "it was renewed", shown=True
-    )
+    bench.answered(stamp(begun), created, "tStamp unchanged by records that are not accepted")
     updated = created
     for seqno in (6, 7, 8):
         before, earlier = bench.lower.wall(), updated
@@ -357,9 +325,7 @@ def time_stamp(bench: Bench) -> None:
         # An earlier time can come from a clock that was set back, but not after each of three updates.
         if updated >= earlier:
             break
-    bench.check(
-        updated > earlier, "a later tStamp after a newer VarUpdate", f"{updated}, before it {earlier}", shown=came
-    )
+    bench.none(updated <= earlier, "a later tStamp after a newer VarUpdate", seen=f"{updated - earlier} ns", given=came)
 
 
 @case(
@@ -384,35 +350,15 @@ def first_words(bench: Bench) -> None:
     spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
     if not spoke:
         bench.inconclusive("beacons with a VarDis block", "none in time")
-    empty = [each for each in spoke if _has_empty_container(each)]
-    bench.check(
-        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:4], shown=True
-    )
-    broken = [each for each in spoke if _faults(each)]
-    problem = f"{_faults(broken[0])[0]}" if broken else ""
-    bench.check(
-        not broken, "payloads that can be decoded", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4], shown=True
-    )
+    bench.none([each for each in spoke if _has_empty_container(each)], "a record in every container", "VD-IC-03")
+    bench.every(spoke, lambda each: not _faults(each), "payloads that can be decoded", "VD-IC-01 VD-IC-02")
     said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
     kinds = said_of_it - {ICType.CREATE_VARIABLES, ICType.SUMMARIES}
     names = ", ".join(sorted(kind.label for kind in kinds))
-    bench.check(
-        not kinds,
-        "no records of the variable other than VarCreates and summaries",
-        names,
-        "VD-IC-02",
-        "VD-TYP-07",
-        shown=True,
+    bench.none(
+        kinds, "no records of the variable other than VarCreates and summaries", "VD-IC-02 VD-TYP-07", seen=names
     )
     creates = bench.instructions(ICType.CREATE_VARIABLES, since=since)
     wrong = [each for each in creates if each.record.spec.prod_id == peer.node_id and each.record != record]
     observed = f"{wrong[0].record}" if wrong else ""
-    bench.check(
-        not wrong,
-        f"the VarCreate as received: {record}",
-        observed,
-        "VD-TYP-05",
-        "VD-TYP-07",
-        frames=wrong[:4],
-        shown=True,
-    )
+    bench.none(wrong, f"the VarCreate as received: {record}", "VD-TYP-05 VD-TYP-07", seen=observed)

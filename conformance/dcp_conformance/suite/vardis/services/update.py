@@ -10,7 +10,7 @@ from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
@@ -59,17 +59,9 @@ def updates(bench: Bench) -> None:
         bench.expect_status(OK, "RTDB-Update", "VD-UPD-08", varId=var_id, value=value.hex())
         record = _until_value(bench, var_id, value)
         frames = bench.instructions(_U, var_id, mark)
-        if record is None:
-            observed = f"{frames[-1].record}" if frames else "none"
-            bench.fail(f"a VarUpdate with the value {value!r}", observed, "VD-UPD-08", frames=frames)
-        bench.check(
-            record.seqno == number,
-            f"seqno {number} in the VarUpdate",
-            f"{record.seqno}",
-            "VD-UPD-07",
-            frames=frames,
-            shown=True,
-        )
+        seen = frames[-1] if frames else "none"
+        record = bench.required(record, f"a VarUpdate with the value {value!r}", "VD-UPD-08", seen=seen, frames=frames)
+        bench.answered(record.seqno, number, "seqno in the VarUpdate", "VD-UPD-07", frames=frames)
 
 
 def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
@@ -110,15 +102,8 @@ def wrap(bench: Bench) -> None:
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
         shown = _until_value(bench, var_id, value)
         frames = bench.instructions(_U, var_id, mark)
-        observed = "none in time" if shown is None else f"seqno {shown.seqno}"
-        holds = shown is not None and shown.seqno == number % modulus
-        bench.check(
-            holds,
-            f"a VarUpdate with seqno {number % modulus} for update {number}",
-            observed,
-            frames=frames,
-            shown=shown is not None,
-        )
+        what = f"seqno of the VarUpdate of update {number}"
+        bench.equal(shown and shown.seqno, number % modulus, what, frames=frames)
 
 
 @case(
@@ -138,7 +123,7 @@ def repetitions(bench: Bench, name: str) -> None:
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarUpdate", "VD-UPD-08")
+    bench.repeated(frames, count, "beacons with the VarUpdate", "VD-UPD-08")
     check_one_in_each(bench, frames, _U, var_id, "VD-UPD-09")
 
 
@@ -156,8 +141,7 @@ def counted_again(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count)
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"first").hex())
     for _ in range(2):
-        if bench.until_instruction(_U, var_id) is None:
-            bench.fail("repetitions of the first VarUpdate", "none in time", "VD-UPD-08")
+        bench.required(bench.until_instruction(_U, var_id), "repetitions of the first VarUpdate", "VD-UPD-08")
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"second").hex())
     _check_newest(bench, var_id, mark, count)
@@ -171,25 +155,16 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
     done, value, seqno = bench.mark(), bench.records.value(b"second"), 2
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
-    observed = f"{len(newest)} of {len(frames)} beacons with VarUpdates"
-    bench.check(
-        len(newest) == count,
-        f"{count} beacons with the newest VarUpdate",
-        observed,
-        "VD-UPD-08",
-        frames=frames,
-        shown=len(newest) > count,
-    )
+    bench.repeated(newest, count, "beacons with the newest VarUpdate", "VD-UPD-08", frames=frames)
     check_one_in_each(bench, frames, _U, var_id, "VD-UPD-09")
     old = [heard for heard in bench.receiver.frames_with(_U, var_id, done) if heard not in newest]
     late = [heard for heard in old if newest and heard.time >= newest[0].time]
-    bench.check(
+    bench.proved(
         len(old) <= 1 and not late,
         "an older VarUpdate only in a beacon prepared before the update",
         f"in {len(old)} beacons, {len(late)} of them after the newest",
         "VD-UPD-09",
         frames=old,
-        shown=True,
     )
 
 
@@ -253,14 +228,8 @@ def in_creations(bench: Bench) -> None:
         else records
     )
     wrong = [each for each in after if each is None or not _newest(each.upd, bench.records.value(b"newer"), 1)]
-    observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
-    bench.check(
-        bool(after) and not wrong,
-        "the value of the update and seqno 1 in the VarCreates after it",
-        observed,
-        frames=frames,
-        shown=wrong,
-    )
+    bench.none(wrong, "the value of the update and seqno 1 in the VarCreates after it", frames=frames)
+    bench.some(after, "VarCreates after the update", frames=frames)
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------
@@ -278,8 +247,7 @@ def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.records.value(b"value").hex())
     bench.require_alive("RTDB-Update for an unknown variable")
-    frames = bench.receiver.frames_with(_U, var_id)
-    bench.check(not frames, "no VarUpdate", f"{len(frames)} beacons with one", frames=frames, shown=True)
+    bench.none(bench.receiver.frames_with(_U, var_id), "no VarUpdate")
 
 
 @case(
@@ -295,7 +263,7 @@ def foreign(bench: Bench) -> None:
     for value in (bench.records.value(b"ours"), b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == bench.records.value(b"theirs").hex(), "the value unchanged", f"{shown}", shown=True)
+    bench.answered(shown, bench.records.value(b"theirs").hex(), "the value unchanged")
 
 
 @case(
@@ -332,10 +300,7 @@ def deleted(bench: Bench) -> None:
         if answer.code != NOT_EXPRESSIBLE:
             bench.services.check_status(answer, statuses_after_deletion(bench), "RTDB-Update")
     bench.beacons(2, 2.5)
-    frames = bench.receiver.frames_with(_U, var_id, mark)
-    bench.check(
-        not frames, "no VarUpdate of the deleted variable", f"{len(frames)} beacons with one", frames=frames, shown=True
-    )
+    bench.none(bench.receiver.frames_with(_U, var_id, mark), "no VarUpdate of the deleted variable")
 
 
 @case(
@@ -378,10 +343,9 @@ def empty_value(bench: Bench) -> None:
 
 def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == value.hex(), "the value unchanged by the rejected update", f"{shown}", shown=True)
+    bench.answered(shown, value.hex(), "the value unchanged by the rejected update")
     record = bench.until_instruction(_U, var_id)
-    holds = record is not None and _newest(record, value, 1)
-    bench.check(holds, "a VarUpdate with the first value and seqno 1", f"{record}", shown=record is not None)
+    bench.equal(record and (record.seqno, record.value), (1, value), "seqno and value of the VarUpdate")
 
 
 @case(
@@ -405,10 +369,10 @@ def entry(bench: Bench) -> None:
         updated = timed(bench, "RTDB-Update", varId=var_id, value=newer)
         after = entry_of(bench, var_id) or {}
         least = least_left(bench, count, start)
-        bench.check(after.get("value") == newer, "the new value", f"{after.get('value')}", shown=True)
-        bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}", shown=True)
+        bench.answered(after.get("value"), newer, "the new value")
+        bench.answered(after.get("seqno", 1), 1, "seqno")
         left = after.get("countUpdate", count)
-        bench.check(least <= left <= count, f"countUpdate from {least} to {count}", f"{left}", shown=True)
+        bench.proved(least <= left <= count, f"countUpdate from {least} to {count}", left)
         if "tStamp" not in before or "tStamp" not in after:
             # Both fields are optional, so there is nothing more to check.
             raise StopCase

@@ -1,0 +1,516 @@
+"""Model of the VarDis entity of a node: the instructions of :class:`Oracle`, and services, activity, order and room."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import msgspec
+from dcp_spec.constants import Features, ICType
+
+from dcp_codec.values import Container, VarCreate, VardisRecord, VarSpec
+
+from .judgement import Expected, Finding
+from .knowledge import NEVER, Limits, Obligation, State, Variable, Version
+from .queues import Order
+from .services import OK, Situation, expected
+from .vardis import Oracle
+
+_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
+_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
+#: By kind: the requirement about the order of records that return to the tail.
+_ROTATION: Final = {
+    _CREATES: "VD-CMP-06", _DELETES: "VD-CMP-10", _UPDATES: "VD-CMP-09", _SUMMARIES: "VD-CMP-03",
+    _CREATE_REQUESTS: "VD-PAY-06", _UPDATE_REQUESTS: "VD-PAY-06",
+}  # fmt: skip
+#: By kind of a record that left a variable as it was: the requirements.
+_IGNORED: Final = {
+    _CREATES: ("VD-PC-01", "VD-PC-04"), _DELETES: ("VD-PD-01", "VD-PD-03"), _UPDATES: ("VD-PU-05", "VD-PU-03"),
+}  # fmt: skip
+_TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
+_STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
+_SITUATIONS: Final = tuple(Situation(state, own) for state in _STATES for own in (False, True))
+
+
+class Room:
+    """Sizes in octets that decide whether a record fits into a payload."""
+
+    def __init__(self, header: int, sizes: Mapping[ICType, int], most: int, summaries: int) -> None:
+        """``sizes``: of a record of each type without value and description. ``most``: VARDISPAR_MAX_PAYLOAD_SIZE."""
+        self.header = header
+        self.sizes = sizes
+        self.most = self.registered = most
+        self.summaries = summaries
+        self.former: list[tuple[int, int, int]] = []
+        """Former values of size and summaries, with the times of their changes, ns."""
+
+
+class VardisModel(Oracle):
+    """The VarDis entity of one node. Only the variables in ``mine`` are judged."""
+
+    def __init__(self, own_id: bytes, features: Features, width: int, limits: Limits, room: Room, **times: Any) -> None:
+        """``width``: octets of a sequence number. ``times``: as for :class:`~.model.Model`."""
+        self.late: int = times.pop("late", 0)
+        self._whole: bool = times.pop("whole", False)
+        self._lossy: bool = times.pop("lossy", False)
+        self._scrubs: bool | None = times.pop("scrubs", None)
+        """Whether the node scrubs the variables of others (X26); None if neither is known."""
+        super().__init__(own_id, features, width, limits, **times)
+        self.room = room
+        self.active = True
+        self.switched = -(1 << 62)
+        self.mine: set[int] = set()
+        self.why: dict[int, tuple[str, ...]] = {}
+        """By variable: the requirements that decide its state after the last event."""
+        self._order = Order()
+        self._longest = (limits.max_value_length, limits.max_description_length)
+        self._passed: dict[int, int] = {}
+        """Variables of others whose timeout has passed, with the time at which a scrubbing node has deleted them."""
+        self._armed = 0
+        self.payloads = 0
+
+    # -- what the node receives ------------------------------------------------------------------------------
+
+    def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
+        """Process the records of a payload that a node received at ``time`` or shortly after."""
+        if not self.active:
+            for record in records:
+                self.why[_var_id(record)] = ("VD-MGT-03",)
+            return
+        ids = {_var_id(record) for record in records}
+        before = {var_id: self._variable(var_id).now for var_id in ids}
+        self._order.next_event()
+        self._order.together = True
+        super().hear(records, time, frame)
+        self._order.together = False
+        for record in records:
+            var_id, kind = _var_id(record), record.IC_TYPE
+            if kind in _TAKEN and not self._variable(var_id).uncertain:
+                changed = self._variable(var_id).now is not before[var_id]
+                self.why[var_id] = _TAKEN[kind] if changed else _refusal(record, self.own_id, self._limits)
+        if self._lossy:
+            for var_id in ids:
+                self.doubt(var_id)
+
+    def _receive_create(self, record: VarCreate, variable: Variable, time: int, frame: int) -> None:
+        before = variable.now
+        super()._receive_create(record, variable, time, frame)
+        if variable.now is not before:
+            self._renewed(record.spec.var_id, time, "VD-PC-09")
+
+    def _renewed(self, var_id: int, time: int, requirement: str) -> None:
+        self._passed.pop(var_id, None)
+        self._order.remove(var_id)
+        self._order.append(_SUMMARIES, var_id, time, requirement, waiting=False)
+        self._order.append(_CREATES, var_id, time, requirement, waiting=False)
+
+    def _oblige(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
+        waiting = kind in (_UPDATES, _CREATES) or any(each.kind is kind for each in self._owed.get(var_id, ()))
+        super()._oblige(kind, var_id, seqno, time, frame, requirement)
+        if requirement not in ("VD-PC-09", "VD-CRE-12"):
+            self._order.append(kind, var_id, time, requirement, waiting=waiting)
+
+    def _forget(self, var_id: int) -> None:
+        super()._forget(var_id)
+        self._order.remove(var_id)
+
+    def _lose(self, variable: Variable) -> None:
+        super()._lose(variable)
+        for var_id, each in self.variables.items():
+            if each is variable:
+                self._order.remove(var_id)
+
+    def _fade(self, variable: Variable, var_id: int, time: int) -> None:
+        """Process a timeout: only a node that scrubs the variables of others deletes them (X26)."""
+        own = self._own(variable.now)
+        if own or self._scrubs:
+            super()._fade(variable, var_id, time)
+            if variable.now.state == "deleted":
+                self.why[var_id] = ("VD-SCR-04", "VD-SCR-05")
+        elif self._scrubs is None and time >= variable.due:
+            self._passed[var_id] = variable.due + (self._scrubbing or 0) + self._latency
+            self._lose(variable)
+        elif self._scrubs is False:
+            variable.due = NEVER
+
+    # -- services --------------------------------------------------------------------------------------------
+
+    def expect(self, method: str, params: Mapping[str, Any], time: int) -> list[Expected]:
+        """Return the statuses that a service may answer now; empty for an unknown service."""
+        var_id = params.get("varId")
+        situations: Iterable[Situation] = _SITUATIONS
+        if type(var_id) is int and var_id in self.mine:
+            self._variable(var_id)
+            version = self.certain(var_id, time)
+            if version is not None:
+                situations = (Situation(version.state, self._own(version)),)
+            elif self.variables[var_id].foreign:
+                situations = [each for each in _SITUATIONS if not each.own and each.state != "unknown"]
+        return expected(method, params, situations, self._limits, self._features, active=self.active)
+
+    def confirmed(
+        self, method: str, params: Mapping[str, Any], result: Mapping[str, Any], time: int
+    ) -> Iterator[Finding]:
+        """Take the confirm of a service with an expected status into account."""
+        if method in ("VD-MGMT-Activate", "VD-MGMT-Deactivate"):
+            self._switch(method == "VD-MGMT-Activate", time)
+            return
+        if str(result.get("status", "")).replace("_", "-") != OK or not self.active:
+            return
+        var_id = params.get("varId")
+        match method:
+            case "RTDB-Update":
+                self.updated(params["varId"], bytes.fromhex(params["value"]), time)
+                self.why[params["varId"]] = ("VD-UPD-08",)
+            case "RTDB-Delete":
+                self.deleted(params["varId"], time)
+                self.why[params["varId"]] = ("VD-DEL-05",)
+            case "RTDB-Read" if var_id in self.mine:
+                yield from self._observed(params["varId"], result, "alive", ("VD-REA-04",), time)
+            case "RTDB-DescribeVariable" if var_id in self.mine:
+                row = result.get("variable", {})
+                yield from self._described(params["varId"], row, ("VD-DVA-03",), time)
+            case "RTDB-DescribeDatabase":
+                yield from self._listed(result.get("variables", ()), time)
+
+    def created_by_application(self, spec: VarSpec, value: bytes, time: int) -> None:
+        """Process an RTDB-Create with status OK; see :meth:`~.model.Model.created`."""
+        again = self._variable(spec.var_id).now.state != "unknown"
+        self.created(spec, value, time)
+        self._renewed(spec.var_id, time, "VD-CRE-12")
+        self.why[spec.var_id] = ("VD-CRE-11", "VD-CRE-03") if again else ("VD-CRE-10", "VD-CRE-12")
+
+    def _switch(self, active: bool, time: int) -> None:
+        if active == self.active:
+            return
+        self.active, self.switched = active, time
+        # X37: what was pending may be dropped; X36: whether time passes for variables with a timeout is open.
+        self._owed.clear()
+        self._order.forget()
+        for variable in self.variables.values():
+            if variable.due != NEVER:
+                self._lose(variable)
+
+    def _reasons(self, var_id: int, otherwise: tuple[str, ...]) -> tuple[str, ...]:
+        return self.why.get(var_id, otherwise)
+
+    def differs(self, var_id: int, requirement: str) -> tuple[str, ...]:
+        """Return the requirements of a status that differs from that of the state of a variable."""
+        return (requirement, *self.why.get(var_id, ())[:1])
+
+    def _observed(
+        self, var_id: int, row: Mapping[str, Any], state: State, which: tuple[str, ...], time: int
+    ) -> Iterator[Finding]:
+        """Compare the state and the value of a variable that a service shows."""
+        yield from self._scrubbed(var_id, state, time)
+        version = self.certain(var_id, time)
+        if version is None:
+            return
+        if version.state != state:
+            self.doubt(var_id)
+            yield Finding(self._reasons(var_id, which), f"variable {var_id} {version.state}", state)
+            return
+        value = row.get("value")
+        if value is not None and state == "alive" and value.lower() != version.value.hex():
+            self.doubt(var_id)
+            yield Finding(self._reasons(var_id, which), f"value {_brief(version.value.hex())}", _brief(value))
+
+    def _scrubbed(self, var_id: int, state: State, time: int) -> Iterator[Finding]:
+        """Take the state of a variable of another node after its timeout into account (X26)."""
+        gone = self._passed.get(var_id)
+        if gone is None or not self.active:
+            return
+        if state == "alive" and time > gone + self.late:
+            self._passed.pop(var_id)
+            if self._scrubs:
+                yield Finding(("VD-SCR-04", "VD-SCR-05"), f"variable {var_id} deleted after its timeout", state)
+            else:
+                self._scrubs = False
+        elif state == "deleted":
+            self._passed.pop(var_id)
+            if self._scrubs is False:
+                expected = "every variable is scrubbed within a period after its timeout, or none of other nodes"
+                yield Finding(("VD-SCR-03", "VD-SCR-04"), expected, f"variable {var_id} was deleted later")
+            self._scrubs = True
+
+    def _described(self, var_id: int, row: Mapping[str, Any], which: tuple[str, ...], time: int) -> Iterator[Finding]:
+        state: State = "deleted" if row.get("isDeleted") else "alive"
+        if "isDeleted" in row:
+            yield from self._observed(var_id, row, state, which, time)
+        version = self.certain(var_id, time)
+        if version is None or version.spec is None or version.state == "unknown":
+            return
+        spec = version.spec
+        shown = {
+            "seqno": version.seqno, "repCnt": spec.rep_cnt, "timeout": spec.timeout,
+            "prodId": spec.prod_id, "descr": spec.descr,
+            "creationTime": spec.creation_time if not self._own(version) else None,
+        }  # fmt: skip
+        for name, wanted in shown.items():
+            got = _field(row, name)
+            if wanted is None or got is None or got == wanted:
+                continue
+            if name == "prodId" and isinstance(wanted, bytes) and _same_node(got, wanted):
+                continue
+            self.doubt(var_id)
+            yield Finding(
+                (*which, *self._reasons(var_id, ())[:1]), f"{name} {_text(wanted)} of variable {var_id}", _text(got)
+            )
+            return
+        for name in ("countUpdate", "countCreate", "countDelete"):
+            count = row.get(name)
+            if type(count) is int and not 0 <= count <= spec.rep_cnt:
+                yield Finding((*which, "VD-DB-01"), f"{name} of at most {spec.rep_cnt}", str(count))
+                return
+
+    def _listed(self, rows: Iterable[Mapping[str, Any]], time: int) -> Iterator[Finding]:
+        found: dict[Any, Mapping[str, Any]] = {}
+        for each in rows:
+            if each.get("varId") in found and each.get("varId") in self.mine:
+                yield Finding(("VD-DB-01",), f"variable {each.get('varId')} once", "twice")
+            found[each.get("varId")] = each
+        for var_id in sorted(self.mine):
+            variable = self.variables.get(var_id)
+            version = self.certain(var_id, time)
+            row = found.get(var_id)
+            if row is not None:
+                if version is not None and version.state == "unknown":
+                    self.doubt(var_id)
+                    yield Finding(self._reasons(var_id, ("VD-DDB-02",)), f"no variable {var_id}", "it is listed")
+                    continue
+                yield from self._described(var_id, row, ("VD-DDB-02",), time)
+                continue
+            surely = version is not None and version.state != "unknown"
+            if self._features.removed_after_deletion:
+                surely = version is not None and version.state == "alive"
+            elif version is None:
+                surely = variable is not None and variable.foreign
+            if surely:
+                which = ("VD-DDB-02", "VD-DB-02") if version is None or version.state == "deleted" else ("VD-DDB-02",)
+                self.doubt(var_id)
+                yield Finding(which, f"variable {var_id} in the database", "not listed")
+
+    # -- parameters ------------------------------------------------------------------------------------------
+
+    def set_limits(
+        self, time: int, *, value: int | None = None, descr: int | None = None, repetitions: int | None = None
+    ) -> None:
+        """Record new limits of values, descriptions and repetitions."""
+        del time
+        old = self._limits
+        self._limits = Limits(
+            old.max_value_length if value is None else value,
+            old.max_description_length if descr is None else descr,
+            old.max_repetitions if repetitions is None else repetitions,
+        )
+        self._longest = (
+            max(self._longest[0], self._limits.max_value_length),
+            max(self._longest[1], self._limits.max_description_length),
+        )
+
+    def set_room(self, time: int, *, most: int | None = None, summaries: int | None = None) -> None:
+        """Record a new VARDISPAR_MAX_PAYLOAD_SIZE or VARDISPAR_MAX_SUMMARIES."""
+        room = self.room
+        room.former.append((time, room.most, room.summaries))
+        room.most = room.most if most is None else most
+        room.summaries = room.summaries if summaries is None else summaries
+
+    def set_scrubbing(self, period: int) -> None:
+        """Record a new VARDISPAR_SCRUBBING_PERIOD in ns; the running period may still end first."""
+        if self._scrubbing is not None:
+            self._scrubbing = max(self._scrubbing, period)
+
+    # -- payloads of the node --------------------------------------------------------------------------------
+
+    def payload(
+        self, containers: Sequence[Container], octets: int, since: int, time: int, frame: int
+    ) -> Iterator[Finding]:
+        """Judge a payload of ``octets`` octets, composed at ``since`` or later and received at ``time`` (ns)."""
+        self.payloads += 1
+        since = max(since, self._shown(containers))
+        former = [(size, count) for changed, size, count in self.room.former if changed >= since]
+        most = max([self.room.most, *(size for size, _ in former)])
+        summaries = max([self.room.summaries, *(count for _, count in former)])
+        if octets > most:
+            yield Finding(("VD-IC-05",), f"at most {most} octets of containers", str(octets))
+        groups: dict[ICType, list[VardisRecord]] = {}
+        records: list[tuple[ICType, VardisRecord]] = []
+        for container in containers:
+            kind = container.records[0].IC_TYPE if container.records else None
+            if kind is None:
+                continue
+            groups.setdefault(kind, []).extend(container.records)
+            records += [(kind, each) for each in container.records if _var_id(each) in self.mine]
+        if len(groups.get(_SUMMARIES, ())) > summaries:
+            yield Finding(("VD-CMP-02",), f"at most {summaries} summaries", str(len(groups[_SUMMARIES])))
+        for kind, found in groups.items():
+            ids = [_var_id(each) for each in found]
+            if len(set(ids)) < len(ids) and self.mine.intersection(ids):
+                twice = next(each for each in ids if ids.count(each) > 1)
+                yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
+        roomy = octets + self._needs(_CREATES) + self.room.header <= min(self.room.most, self.room.registered)
+        waited = max(0, time - self._latency - since)
+        owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
+        for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited):
+            yield Finding(self._named(each.requirement, each.var_id), each.expected, each.observed)
+        if not self._lossy:
+            yield from self._ordered(groups, since, owed)
+            yield from self._missing(groups, octets, since)
+
+    def _shown(self, containers: Sequence[Container]) -> int:
+        """Return the earliest time of the composition of a payload, given the events that it shows."""
+        latest = -(1 << 62)
+        for container in containers:
+            for record in container.records:
+                for each in self._owed.get(_var_id(record), ()) if record.IC_TYPE is not None else ():
+                    if each.kind is record.IC_TYPE and each.kind in (_CREATE_REQUESTS, _DELETES):
+                        latest = max(latest, each.time + self._whole)
+        return latest
+
+    def _named(self, requirement: str, var_id: int) -> tuple[str, ...]:
+        why = self.why.get(var_id, ())
+        if requirement in ("VD-PD-04", "VD-CMP-05", "VD-PS-02") and why:
+            return (why[0], requirement) if why[0] != requirement else (requirement,)
+        return (requirement,)
+
+    def _needs(self, kind: ICType) -> int:
+        """Return the largest possible size of a record, in octets."""
+        size = self.room.sizes[kind]
+        value, descr = self._longest
+        return size + (value if kind in (_CREATES, _UPDATES) else 0) + (descr if kind is _CREATES else 0)
+
+    def _ordered(
+        self, groups: Mapping[ICType, list[VardisRecord]], since: int, owed: Mapping[int, list[Obligation]]
+    ) -> Iterator[Finding]:
+        """Judge the order of the records of each container, and of those that it lacks."""
+        self._order.next_payload(since)
+        for kind, records in groups.items():
+            ids = [var_id for each in records if (var_id := _var_id(each)) in self.mine]
+
+            def queued(var_id: int, since: int, kind: ICType = kind) -> bool:
+                variable = self.variables.get(var_id)
+                if variable is None or variable.uncertain or self._needs(kind) + self.room.header > self.room.most:
+                    return False
+                if kind is _SUMMARIES:
+                    version = variable.now
+                    return version.state == "alive" and variable.due == NEVER and variable.settled < since
+                return any(each.kind is kind and each.time + self.late < since for each in owed.get(var_id, ()))
+
+            for passed, first, place in self._order.payload(kind, ids, since - self.late, queued):
+                which = place.requirement if place.appended is not None and place.requirement else _ROTATION[kind]
+                if kind in (_CREATES, _DELETES, _UPDATES) and place.appended is not None:
+                    which = "VD-PAY-06"
+                expected = f"{kind.label} of variable {passed}, which was queued before {first}"
+                yield Finding((which, *(("VD-CMP-03",) if kind is _SUMMARIES and which != "VD-CMP-03" else ())),
+                              expected, f"that of {first} first")  # fmt: skip
+                self._order.forget()
+                break
+            self._order.sent(kind, ids)
+
+    def _missing(self, groups: Mapping[ICType, list[VardisRecord]], octets: int, since: int) -> Iterator[Finding]:
+        """Yield a finding for a record that must be in this payload: it was queued before, and there is room for it."""
+        free = min(self.room.most, self.room.registered) - octets
+        if any(changed >= since for changed, _, _ in self.room.former):
+            return
+        for var_id in list(self._owed):
+            variable = self.variables.get(var_id)
+            if var_id not in self.mine or variable is None or variable.uncertain or variable.due != NEVER:
+                continue
+            for each in self._owed.get(var_id, []):
+                there = groups.get(each.kind, ())
+                if each.time + self.late >= since or len(there) >= 255:
+                    continue
+                if variable.settled + self.late >= since or self._needs(each.kind) + self.room.header > free:
+                    continue
+                self._owed[var_id] = [other for other in self._owed[var_id] if other is not each]
+                which = ("VD-PAY-02", each.requirement) if there else (each.requirement, "VD-CMP-13")
+                yield Finding(which, f"{each.kind.label} of variable {var_id} in this payload, which has room", "none")
+                return
+
+    def silent(self, time: int) -> Iterator[Finding]:
+        """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""
+        if self._lossy or not self.active:
+            return
+        for each in self.overdue(time):
+            if each.var_id in self.mine:
+                yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
+                return
+
+    @property
+    def next_timeout(self) -> int | None:
+        """The time of the next timeout of a variable in ns; None if none has one."""
+        due = [each.due for each in self.variables.values() if each.due != NEVER]
+        return min(due) if due else None
+
+    def postpone(self, time: int) -> None:
+        """Give everything that is owed its whole time again, because the node could not send until ``time``."""
+        for var_id, owing in self._owed.items():
+            self._owed[var_id] = [
+                msgspec.structs.replace(each, deadline=max(each.deadline, time + self._window)) for each in owing
+            ]
+
+    def state_of(self, var_id: int) -> str:
+        """A name of the state of a variable, for statistics."""
+        variable = self.variables.get(var_id)
+        if variable is None:
+            name = "unknown"
+        elif variable.uncertain:
+            name = "uncertain"
+        else:
+            version = variable.now
+            name = (
+                version.state
+                if version.state == "unknown"
+                else f"{version.state}, {'own' if self._own(version) else 'foreign'}"
+            )
+            if var_id in self._owed:
+                name += ", pending"
+            if variable.due != NEVER:
+                name += ", with timeout"
+        return name if self.active else f"{name}; VarDis inactive"
+
+
+def _refusal(record: VardisRecord, own_id: bytes, limits: Limits) -> tuple[str, ...]:
+    """Return the requirements by which a record changes nothing."""
+    kind = record.IC_TYPE
+    if isinstance(record, VarCreate):
+        spec, value = record.spec, record.upd.value
+        if spec.prod_id == own_id:
+            return ("VD-PC-03",)
+        if not 0 < len(value) <= limits.max_value_length:
+            return ("VD-PC-04",)
+        if not 0 < len(spec.descr) <= limits.max_description_length:
+            return ("VD-PC-05",)
+        if not 0 < spec.rep_cnt <= limits.max_repetitions:
+            return ("VD-PC-06",)
+        return ("VD-PC-01",)
+    return _IGNORED.get(kind, ())
+
+
+def _var_id(record: VardisRecord) -> int:
+    return record.spec.var_id if isinstance(record, VarCreate) else record.var_id
+
+
+def _field(row: Mapping[str, Any], name: str) -> Any:
+    if name == "descr":
+        if "descrHex" in row:
+            return bytes.fromhex(str(row["descrHex"]))
+        return str(row["descr"]).encode() if "descr" in row else None
+    return row.get(name)
+
+
+def _same_node(shown: Any, node_id: bytes) -> bool:
+    text = str(shown).lower()
+    return text.replace(":", "") == node_id.hex() or text.encode() == node_id
+
+
+def _text(value: Any) -> str:
+    return value.hex() if isinstance(value, bytes) else str(value)
+
+
+def _brief(text: str) -> str:
+    return text if len(text) <= 24 else f"{text[:16]}... ({len(text) // 2} octets)"
+
+
+__all__ = ["Room", "VardisModel", "Version"]

@@ -1,0 +1,410 @@
+"""Model of a whole node: BP, SRP and VarDis together, for everything that a tester can send and observe.
+
+The model is independent of the reference node. It answers for each observation whether the specification requires,
+allows or forbids it, with the requirement. What the tester cannot know (when a payload was composed, which reading of
+the text a node follows, whether a record was lost) stays open until an observation decides it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, features
+from dcp_spec.parameters import Sizes as ParameterSizes
+from dcp_spec.parameters import UnknownParameterError, parameter, validate
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import DecodeError
+from dcp_codec.plan.measures import least_size, record
+from dcp_codec.plan.tree import Scalar
+from dcp_codec.values import (
+    Container,
+    ExtendedSafetyData,
+    VarCreate,
+    VardisRecord,
+    VarSpec,
+)
+
+from .bp import BPModel, Sizes
+from .database import Room, VardisModel
+from .judgement import MS, Expected, Finding, Timing, either
+from .knowledge import NO_CREATION, Limits
+from .srp import SRPModel
+
+_RECORDS = {
+    ICType.CREATE_VARIABLES: "VarCreate", ICType.DELETE_VARIABLES: "VarDelete", ICType.UPDATES: "VarUpdate",
+    ICType.SUMMARIES: "VarSumm", ICType.REQUEST_VARUPDATES: "VarReqUpdate", ICType.REQUEST_VARCREATES: "VarReqCreate",
+}  # fmt: skip
+
+
+class NodeModel:
+    """One node as its specification has it. All times are ns of the tester's clock."""
+
+    def __init__(
+        self,
+        codec: Codec,
+        own_id: bytes,
+        parameters: Mapping[str, Any],
+        timing: Timing,
+        *,
+        readings: Mapping[str, str] | None = None,
+        alone: bool = True,
+    ) -> None:
+        """``parameters``: values by the names of the specification. ``readings``: those that the node declares.
+
+        ``alone``: whether nobody but the tester uses the services of the node.
+        """
+        profile = codec.profile
+        self.codec = codec
+        self.own_id = own_id
+        self.timing = timing
+        self.values = dict(parameters)
+        self._features = features(profile.spec_version)
+        self._alone = alone
+        header, block = record(codec.envelope_plan, "BPHeader"), record(codec.envelope_plan, "Payload")
+        assert block is not None
+        self._sizes = Sizes(
+            0 if header is None else least_size(header),
+            sum(each.size for each in block.members if isinstance(each, Scalar)),
+            (1 << 16) - 1,
+        )
+        self.bp = BPModel(self._features, self._sizes, timing, int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]))
+        self.srp = SRPModel(
+            self._features, timing, own_id, round(self.values.get("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", 3000) * MS),
+            alone=alone, room=profile.limits.max_neighbours,
+        )  # fmt: skip
+        self.vardis = self._vardis(readings or {})
+        self.since = -(1 << 62)
+        """Time of the last VarDis payload."""
+        self._blocked = -(1 << 62)
+        """Last time at which something may have kept a VarDis payload from being sent."""
+        self._last = -(1 << 62)
+        self._renamed = -(1 << 62)
+        self._number = 0
+        self._least = -(1 << 62)
+
+    def _vardis(self, readings: Mapping[str, str]) -> VardisModel:
+        profile, values, timing = self.codec.profile, self.values, self.timing
+        plan = self.codec.containers_plan
+        container = record(plan, "Container")
+        assert container is not None
+        sizes: dict[ICType, int] = {}
+        for kind, name in _RECORDS.items():
+            layout = record(plan, name)
+            sizes[kind] = 0 if layout is None else least_size(layout)
+        if profile.types.node_id.length is not None:
+            sizes[ICType.CREATE_VARIABLES] += len(self.own_id)
+        most = int(values["VARDISPAR_MAX_PAYLOAD_SIZE"])
+        room = Room(least_size(container), sizes, most, int(values["VARDISPAR_MAX_SUMMARIES"]))
+        descr = int(values["VARDISPAR_MAX_DESCRIPTION_LENGTH"])
+        limits = Limits(
+            int(values["VARDISPAR_MAX_VALUE_LENGTH"]), descr - self._with_nul, int(values["VARDISPAR_MAX_REPETITIONS"])
+        )
+        declared = readings.get("X26")
+        return VardisModel(
+            self.own_id, self._features, profile.types.var_seqno.width, limits, room,
+            latency=timing.flight, window=max(timing.patience, 8 * timing.period) + timing.late, late=timing.late,
+            lossy=timing.lossy, whole=timing.whole,
+            scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
+            scrubs=None if declared is None else declared == "every-node",
+        )  # fmt: skip
+
+    @property
+    def _with_nul(self) -> int:
+        return 1 if self._features.string_format == "nul-terminated" else 0
+
+    @property
+    def headers(self) -> int:
+        """Octets of the headers of a beacon with one block."""
+        return self._sizes.header + self._sizes.block
+
+    @property
+    def least_payload(self) -> int:
+        """The smallest VARDISPAR_MAX_PAYLOAD_SIZE that leaves room for every VarCreate (X42)."""
+        room, values = self.vardis.room, self.values
+        lengths = int(values["VARDISPAR_MAX_VALUE_LENGTH"]) + int(values["VARDISPAR_MAX_DESCRIPTION_LENGTH"])
+        return room.header + room.sizes[ICType.CREATE_VARIABLES] + lengths
+
+    def bounded(self, name: str, value: int) -> int:
+        """Return the value of a parameter of VarDis that is nearest to ``value`` and valid in every reading."""
+        room, most = self.vardis.room, int(self.values["VARDISPAR_MAX_PAYLOAD_SIZE"])
+        free = most - room.header - room.sizes[ICType.CREATE_VARIABLES]
+        value_length, descr = (int(self.values[f"VARDISPAR_MAX_{each}_LENGTH"]) for each in ("VALUE", "DESCRIPTION"))
+        match name:
+            case "VARDISPAR_MAX_VALUE_LENGTH":
+                return max(1, min(value, free - descr, 255))
+            case "VARDISPAR_MAX_DESCRIPTION_LENGTH":
+                return max(1, min(value, free - value_length, 255))
+            case "VARDISPAR_MAX_REPETITIONS":
+                return max(1, min(value, 15))
+            case "VARDISPAR_MAX_SUMMARIES":
+                return max(0, min(value, (most - room.header) // room.sizes[ICType.SUMMARIES]))
+        return value
+
+    # -- services --------------------------------------------------------------------------------------------
+
+    def expect(self, method: str, params: Mapping[str, Any], time: int) -> list[Expected]:
+        """Return the statuses that a service may answer; empty if the specification leaves it open."""
+        if method.startswith(("RTDB-", "VD-MGMT-")):
+            return self.vardis.expect(method, params, time)
+        if method == "SRP-UpdateSafetyData":
+            return [Expected("SRP-STATUS-OK", "SRP-SRV-03")]
+        if method.endswith("-SetParameter"):
+            return self._settable(method, params)
+        return self.bp.expect(method, params)
+
+    def _settable(self, method: str, params: Mapping[str, Any]) -> list[Expected]:
+        name, value = params["name"], params["value"]
+        try:
+            valid = validate(name, value, self._bounds()) is None
+            requirement = parameter(name).requirement
+        except UnknownParameterError:
+            return []
+        status = method.partition("-")[0].replace("VD", "VARDIS") + "-STATUS-OK"
+        # Bounds that are read differently: X05, X23, X39, X42.
+        clear = valid and name not in ("VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_PAYLOAD_SIZE")
+        if name == "BPPAR_MAXIMUM_PACKET_SIZE":
+            clear = valid and value > self._sizes.header + self._sizes.block
+        return [Expected(status, requirement)] if clear else []
+
+    def _bounds(self) -> ParameterSizes:
+        profile, room, values = self.codec.profile, self.vardis.room, self.values
+        return ParameterSizes(
+            version=profile.spec_version,
+            uwb_max_packet_size=profile.limits.uwb_max_packet,
+            node_id=profile.types.node_id.width,
+            network_id=profile.types.network_id.width,
+            var_len=(profile.types.value.lengths or (profile.types.var_id,))[0].width,
+            bp_header=self._sizes.header,
+            bp_payload_header=self._sizes.block,
+            ic_header=room.header,
+            var_spec_fixed=room.sizes[ICType.CREATE_VARIABLES] - room.sizes[ICType.UPDATES],
+            var_update_fixed=room.sizes[ICType.UPDATES],
+            var_summ=room.sizes[ICType.SUMMARIES],
+            max_packet_size=int(values["BPPAR_MAXIMUM_PACKET_SIZE"]),
+            max_payload_size=int(values["VARDISPAR_MAX_PAYLOAD_SIZE"]),
+            max_value_length=int(values["VARDISPAR_MAX_VALUE_LENGTH"]),
+        )
+
+    def judge(
+        self, method: str, params: Mapping[str, Any], expected: list[Expected], status: str, code: int | None
+    ) -> Iterator[Finding]:
+        """Judge the status of an answer. ``code``: that of a JSON-RPC error, None for a result."""
+        if not expected:
+            return
+        if code is not None:
+            silent = any(not each.status for each in expected) or "INACTIVE" in either(expected)
+            if code == -32603 or (code in (-32001, -32002) and not silent):
+                yield Finding((expected[0].requirement,), f"{method} answers {either(expected)}", f"error {code}")
+            return
+        given = status.replace("_", "-")
+        if any(each.status == given for each in expected if each.status):
+            return
+        first = expected[0].requirement
+        reasons: tuple[str, ...] = (first,)
+        if method.startswith("RTDB-") and params.get("varId") in self.vardis.mine:
+            reasons = self.vardis.differs(params["varId"], first)
+        elif method.startswith("BP-") and not self.bp.active:
+            reasons = (first, "BP-MGT-04")
+        shown = "" if len(params) > 12 else f"{method} answers {either([each for each in expected if each.status])}"
+        yield Finding(reasons, shown, status or "no status")
+
+    def confirmed(
+        self,
+        method: str,
+        params: Mapping[str, Any],
+        result: Mapping[str, Any],
+        before: tuple[int, int],
+        after: tuple[int, int],
+    ) -> Iterator[Finding]:
+        """Take a result into account. ``before``, ``after``: monotonic and wall time around the call, ns."""
+        time = after[0]
+        ok = str(result.get("status", "")).replace("_", "-").endswith("-STATUS-OK")
+        if method.startswith("BP-MGMT-") and ok:
+            self._hold(time)
+        if method.endswith("-SetParameter"):
+            if ok:
+                self._set(params["name"], params["value"], time)
+        elif method == "SRP-UpdateSafetyData":
+            if ok:
+                self.srp.submitted(dict(params["sData"]), before[1], after[1], time)
+        elif method == "SRP-NeighbourTable":
+            rows = {_octets(row.get("nodeId")): row for row in result.get("neighbours", ()) if "nodeId" in row}
+            yield from self.srp.listed(rows, time)
+        elif method.startswith(("RTDB-", "VD-MGMT-")):
+            yield from self.vardis.confirmed(method, params, result, time)
+        else:
+            yield from self.bp.confirmed(method, params, result, time)
+
+    def created(self, params: Mapping[str, Any], creation: int | None, time: int) -> None:
+        """Process an RTDB-Create with status OK. ``creation``: creationTime as the node reports it; None if unknown."""
+        timed = self._features.creation_time
+        var_id = params["varId"]
+        spec = VarSpec(
+            var_id, self.own_id, params["repCnt"], params["descr"].encode(),
+            (creation or 0) if timed else None, params.get("timeout", 0) if timed else None,
+        )  # fmt: skip
+        self.vardis.created_by_application(spec, bytes.fromhex(params["value"]), time)
+        if timed and creation is None:
+            self.vardis.variables[var_id].latest = 1 << 127
+
+    def _hold(self, time: int) -> None:
+        """Record that payloads may have had to wait until now."""
+        self._blocked = time
+        self.vardis.postpone(time)
+
+    def _set(self, name: str, value: Any, time: int) -> None:
+        self.values[name] = value
+        vardis = self.vardis
+        match name:
+            case "BPPAR_MAXIMUM_PACKET_SIZE":
+                self._hold(time)
+                self.bp.resized(value, time)
+            case "BPPAR_BEACON_PERIOD":
+                self._hold(time)
+                self.bp.period = max(self.bp.period, round(value * MS))
+            case "BPPAR_NETWORK_ID":
+                self._renamed = time
+            case "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT":
+                self.srp.set_timeout(round(value * MS), time)
+            case "VARDISPAR_MAX_VALUE_LENGTH":
+                vardis.set_limits(time, value=value)
+            case "VARDISPAR_MAX_DESCRIPTION_LENGTH":
+                vardis.set_limits(time, descr=value - self._with_nul)
+            case "VARDISPAR_MAX_REPETITIONS":
+                vardis.set_limits(time, repetitions=value)
+            case "VARDISPAR_MAX_PAYLOAD_SIZE":
+                vardis.set_room(time, most=value)
+            case "VARDISPAR_MAX_SUMMARIES":
+                vardis.set_room(time, summaries=value)
+            case "VARDISPAR_SCRUBBING_PERIOD":
+                vardis.set_scrubbing(_scrubbing(value, self.timing))
+
+    # -- frames ----------------------------------------------------------------------------------------------
+
+    def received(self, blocks: list[tuple[int, bytes]], time: int, forbidden: tuple[str, ...] = ()) -> None:
+        """Process a frame to the node. ``forbidden``: why its receiver must discard it whole; empty if it must not."""
+        self._number += 1
+        self.bp.received(blocks, time, forbidden)
+        closed = forbidden or (() if self.bp.active else ("BP-RX-13", "BP-MGT-03"))
+        for prot_id, octets in blocks:
+            if prot_id == BP_PROTID_SRP and self.codec.profile.srp.is_report:
+                try:
+                    report = self.codec.decode_report(octets)
+                except DecodeError:
+                    continue
+                if isinstance(report, ExtendedSafetyData):
+                    self.srp.received(report, time, closed)
+            elif prot_id == BP_PROTID_VARDIS:
+                self._hear(octets, time, closed)
+
+    def _hear(self, octets: bytes, time: int, closed: tuple[str, ...]) -> None:
+        records: list[VardisRecord] = [
+            each for container in self.codec.decode_containers(octets) for each in container.records
+        ]
+        if closed:
+            for each in records:
+                self.vardis.why[_variable(each)] = closed
+            return
+        if len(octets) > min(self.vardis.room.most, self.vardis.room.registered):
+            # X49: a payload that is larger than the receiver's own may be discarded.
+            for each in records:
+                creation = each.spec.creation_time or 0 if isinstance(each, VarCreate) else NO_CREATION
+                self.vardis.doubt(_variable(each), creation)
+            return
+        self.vardis.hear(records, time, self._number)
+
+    def beacon(self, octets: bytes, time: int) -> Iterator[Finding]:
+        """Judge a beacon of the node that was received at ``time``."""
+        try:
+            decoded = self.codec.decode(octets)
+            envelope, _ = self.codec.decode_envelope(octets)
+        except DecodeError as error:
+            problem = error.problem
+            yield Finding((problem.requirement or "BP-FMT-01",), "a valid beacon", str(problem))
+            return
+        self._number += 1
+        blocks = [(each.protocol_id, each.data or b"") for each in envelope.payloads]
+        header = decoded.bp
+        yield from self.bp.beacon(blocks, len(octets), None if header is None else header.seqno, time)
+        network, shown = self.values.get("BPPAR_NETWORK_ID"), None if header is None else header.network_id
+        if None not in (network, shown) and network != shown and time - self._renamed > self.timing.flight:
+            yield Finding(("BP-HDR-04", "BP-PAR-02"), f"networkId {network}", str(shown))
+        for payload, (_, content) in zip(decoded.payloads, blocks, strict=True):
+            if payload.srp is not None:
+                yield from self._reported(payload.srp, header.sender_id if header is not None else None, time)
+            elif isinstance(payload.content, tuple):
+                yield from self._composed(payload.content, len(content), time)
+        if len(octets) + self.vardis.room.most + self._sizes.block > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):
+            self._blocked = time
+            self.vardis.postpone(time)
+        self._last = time
+
+    def _reported(self, report: ExtendedSafetyData, sender: bytes | None, time: int) -> Iterator[Finding]:
+        names = [field.name for field in self.codec.profile.srp.safety_data]
+        data = report.s_data.as_dict().values()
+        values = {
+            name: value.hex() if isinstance(value, bytes) else value for name, value in zip(names, data, strict=True)
+        }
+        stamp = self.codec.profile.types.timestamp
+        since_1970 = None if stamp.epoch_ns is None else stamp.epoch_ns + stamp.nanoseconds(report.t_stamp)
+        yield from self.srp.sent(report, values, since_1970, sender, time)
+
+    def _composed(self, containers: tuple[Container, ...], octets: int, time: int) -> Iterator[Finding]:
+        # A payload is composed after the one before it was sent; it waits for at most a beacon, unless it is held up.
+        since, self.since = self.since - self.timing.flight, time
+        if time - self._blocked > 2 * self.bp.period and self._blocked < since + self.bp.period:
+            since = max(since, time - self.timing.flight - round(1.6 * self.bp.period))
+        since = self._least = max(since, self._least)
+        vardis = self.vardis
+        if (
+            not vardis.active
+            and time - vardis.switched > self.timing.flight + round(1.6 * self.bp.period)
+            and self._blocked < vardis.switched
+        ):
+            yield Finding(("VD-MGT-02",), "no payload of VarDis while it is inactive", f"a payload of {octets} octets")
+        yield from vardis.payload(containers, octets, since, time, self._number)
+
+    # -- notifications and time ------------------------------------------------------------------------------
+
+    def notified(self, method: str, params: Mapping[str, Any]) -> Iterator[Finding]:
+        """Judge a notification."""
+        prot_id = params.get("protId", -1)
+        if method == "BP-ReceivePayload.indication":
+            yield from self.bp.indicated(prot_id, bytes.fromhex(str(params.get("payload", ""))))
+        elif method == "BP-PayloadTransmitted.indication":
+            yield from self.bp.transmitted(prot_id)
+
+    def passed(self, time: int, *, notified: bool) -> Iterator[Finding]:
+        """Judge what should have come by ``time``. ``notified``: whether the tester gets notifications."""
+        if notified:
+            yield from self.bp.undelivered(time)
+        self.srp.expire(time)
+        yield from self.bp.silent(self._last, time)
+        if (
+            self.bp.active
+            and time - max(self.since, self._blocked) > max(self.timing.patience, 8 * self.bp.period) + self.timing.late
+        ):
+            yield from self.vardis.silent(time)
+
+
+def _scrubbing(milliseconds: float, timing: Timing) -> int:
+    """Return the longest time between two scrubbings, whose accuracy is left to the implementation; ns."""
+    return round(milliseconds * 1.5 * MS) + timing.late + 200 * MS
+
+
+def _variable(record: VardisRecord) -> int:
+    return record.spec.var_id if isinstance(record, VarCreate) else record.var_id
+
+
+def _octets(node_id: Any) -> bytes:
+    """Return a node identifier in an answer as octets; that of a profile with textual identifiers as its text."""
+    text = str(node_id)
+    try:
+        return bytes.fromhex(text.replace(":", ""))
+    except ValueError:
+        return text.encode()
+
+
+__all__ = ["NodeModel", "Timing"]

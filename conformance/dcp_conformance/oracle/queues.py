@@ -1,0 +1,107 @@
+"""Order in the queues of VarDis (dcp-vardis.md: Queues, Composing Payloads).
+
+A queue is served from its head, and records that are repeated return to its tail. When a payload was composed is known
+only within bounds, so the model knows of some pairs of entries which one is ahead, and judges only those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from dcp_spec.constants import ICType
+
+
+class Place(NamedTuple):
+    """The last time at which an entry was put at the tail of its queue."""
+
+    appended: int | None
+    """Time of an event that appended it, ns; None if it returned there after it was sent."""
+    event: int
+    """Number of the event, in the order of events."""
+    payload: int
+    """Number of the last received payload at that time, or of the payload that contained it."""
+    position: int = 0
+    """Position in the container of that payload."""
+    requirement: str = ""
+
+
+class Order:
+    """The places of the entries of the six queues of one node."""
+
+    def __init__(self) -> None:
+        self._places: dict[ICType, dict[int, Place]] = {kind: {} for kind in ICType}
+        self._composed: dict[int, int] = {}
+        """Earliest time of the composition of each payload, ns."""
+        self._payload = 0
+        self._count = 0
+        self.together = False
+        """Whether the entries that are appended now have no order among themselves, as records of different types."""
+
+    def next_event(self) -> None:
+        """Begin an event whose entries come after all others."""
+        self._count += 1
+
+    def append(self, kind: ICType, var_id: int, time: int, requirement: str, *, waiting: bool) -> None:
+        """Record an event that appends an entry. ``waiting``: it may be in the queue already, and stays where it is."""
+        self._count += not self.together
+        places = self._places[kind]
+        if waiting:
+            # Whether it was still there is not known.
+            places.pop(var_id, None)
+            return
+        places[var_id] = Place(time, self._count, self._payload, requirement=requirement)
+
+    def remove(self, var_id: int, *kinds: ICType) -> None:
+        """Record that an entry has left these queues, or all."""
+        for kind in kinds or ICType:
+            self._places[kind].pop(var_id, None)
+
+    def forget(self) -> None:
+        """Record that places are not known any more."""
+        for places in self._places.values():
+            places.clear()
+
+    def payload(
+        self, kind: ICType, var_ids: Sequence[int], since: int, queued: Callable[[int, int], bool]
+    ) -> Iterator[tuple[int, int, Place]]:
+        """Yield (entry that was passed over, entry that came before it, place of the latter) of a container.
+
+        ``since``: earliest time of the composition. ``queued`` returns whether an entry was surely queued, given its
+        identifier and that time.
+        """
+        places = self._places[kind]
+        there = {var_id: place for place, var_id in enumerate(var_ids)}
+        for var_id, position in there.items():
+            mine = places.get(var_id)
+            if mine is None:
+                continue
+            for other, place in places.items():
+                if other == var_id or there.get(other, 1 << 30) < position or not self._ahead(place, mine):
+                    continue
+                if queued(other, since):
+                    yield other, var_id, mine
+                    break
+
+    def sent(self, kind: ICType, var_ids: Sequence[int]) -> None:
+        """Record that the entries of a container were put at the tail again, or removed."""
+        places = self._places[kind]
+        for position, var_id in enumerate(var_ids):
+            self._count += 1
+            places[var_id] = Place(None, self._count, self._payload, position)
+
+    def next_payload(self, since: int) -> None:
+        """Count a received payload that was composed at ``since`` (ns) or later."""
+        self._payload += 1
+        self._composed[self._payload] = since
+
+    def _ahead(self, one: Place, other: Place) -> bool:
+        """Return whether ``one`` is surely nearer to the head than ``other``."""
+        if one.appended is not None and other.appended is not None:
+            return one.event < other.event
+        if one.appended is None and other.appended is None:
+            return (one.payload, one.position) < (other.payload, other.position)
+        if one.appended is None:
+            # The other was appended after the payload of this one was received.
+            return one.payload <= other.payload
+        return one.appended < self._composed.get(other.payload, -1)

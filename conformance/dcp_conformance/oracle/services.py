@@ -1,0 +1,112 @@
+"""Statuses of the services of VarDis in every state (dcp-vardis.md: Application Service Interface)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, NamedTuple
+
+from dcp_spec.constants import Features, SpecVersion
+
+from .judgement import Expected
+from .knowledge import Limits, State
+
+#: Each service, with the number of its requirement about an inactive VarDis and about an unknown variable.
+_GROUPS: Final = {
+    "RTDB-Create": "CRE", "RTDB-Delete": "DEL", "RTDB-Update": "UPD", "RTDB-Read": "REA",
+    "RTDB-DescribeDatabase": "DDB", "RTDB-DescribeVariable": "DVA",
+}  # fmt: skip
+_P: Final = "VARDIS-STATUS-"
+OK: Final = f"{_P}OK"
+
+
+class Situation(NamedTuple):
+    """A state in which a variable may be when a service is called."""
+
+    state: State
+    own: bool
+
+
+def expected(
+    method: str,
+    params: Mapping[str, Any],
+    situations: Iterable[Situation],
+    limits: Limits,
+    features: Features,
+    *,
+    active: bool,
+) -> list[Expected]:
+    """Return the statuses that a service may answer in one of these situations; empty for an unknown service."""
+    group = _GROUPS.get(method)
+    if method in ("VD-MGMT-Activate", "VD-MGMT-Deactivate"):
+        return [Expected(OK, "VD-MGT-05" if method.endswith("-Activate") else "VD-MGT-01")]
+    if group is None:
+        return []
+    if not active:
+        return [Expected(f"{_P}INACTIVE", f"VD-{group}-01"), Expected("", "X30")]
+    if group == "DDB":
+        return [Expected(OK, "VD-DDB-02")]
+    found = [each for one in situations for each in _in(one, group, params, limits, features)]
+    return list(dict.fromkeys(found))
+
+
+def _in(one: Situation, group: str, params: Mapping[str, Any], limits: Limits, features: Features) -> list[Expected]:
+    old = features.removed_after_deletion
+    if group == "CRE":
+        return _creating(one, params, limits, features)
+    unknown = Expected(f"{_P}VARIABLE-DOES-NOT-EXIST", f"VD-{group}-02")
+    if one.state == "unknown":
+        return [unknown]
+    # Up to 1.3 a deleted variable may be gone already.
+    gone = [unknown] if old and one.state == "deleted" else []
+    if group == "DVA":
+        return [Expected(OK, "VD-DVA-03"), *gone]
+    if group in ("DEL", "UPD") and not one.own:
+        return [Expected(f"{_P}NOT-PRODUCER", f"VD-{group}-03"), *gone]
+    if one.state == "deleted":
+        number = {"DEL": ("09", "04"), "UPD": ("12", "04"), "REA": ("06", "03")}[group][0 if old else 1]
+        status = "VARIABLE-BEING-DELETED" if old else "VARIABLE-IS-DELETED"
+        return [Expected(_P + status, f"VD-{group}-{number}"), *gone]
+    if group == "UPD":
+        length = len(params["value"]) // 2
+        if length > limits.max_value_length:
+            return [Expected(f"{_P}VALUE-TOO-LONG", "VD-UPD-05")]
+        if not length:
+            return [Expected(_empty(features), "VD-UPD-06")]
+        return [Expected(OK, "VD-UPD-08")]
+    return [Expected(OK, {"DEL": "VD-DEL-05", "REA": "VD-REA-04"}[group])]
+
+
+def _creating(one: Situation, params: Mapping[str, Any], limits: Limits, features: Features) -> list[Expected]:
+    if one.state != "unknown" and not features.creation_time:
+        found = [Expected(f"{_P}VARIABLE-EXISTS", "VD-CRE-16")]
+        return found + (_checks(params, limits, features) if one.state == "deleted" else [])
+    if one.state == "unknown":
+        return _checks(params, limits, features)
+    checks, taken = _checks(params, limits, features), Expected(f"{_P}VARIABLE-EXISTS", "VD-CRE-02")
+    if one.own:
+        # X20: by the description, a living variable cannot be created again.
+        checks = [Expected(each.status, "VD-CRE-03" if each.status == OK else each.requirement) for each in checks]
+        return [*checks, taken._replace(requirement="X20")] if one.state == "alive" else checks
+    return [taken, *([Expected(OK, "X20")] if one.state == "deleted" else [])]
+
+
+def _checks(params: Mapping[str, Any], limits: Limits, features: Features) -> list[Expected]:
+    """Return the result of the checks of the parameters of RTDB-Create (VD-CRE-13)."""
+    described, length = len(params["descr"].encode()), len(params["value"]) // 2
+    most = limits.max_description_length
+    if described > most:
+        return [Expected(f"{_P}VARIABLE-DESCRIPTION-TOO-LONG", "VD-CRE-04")]
+    if length > limits.max_value_length:
+        return [Expected(f"{_P}VALUE-TOO-LONG", "VD-CRE-05")]
+    if not length:
+        return [Expected(_empty(features), "VD-CRE-06")]
+    if not 0 < params["repCnt"] <= limits.max_repetitions:
+        return [Expected(f"{_P}ILLEGAL-REPCOUNT", "VD-CRE-07")]
+    if not described:
+        # X21
+        return [Expected(OK, "VD-CRE-15"), Expected(f"{_P}VARIABLE-DESCRIPTION-TOO-LONG", "VD-CRE-15")]
+    return [Expected(OK, "VD-CRE-12")]
+
+
+def _empty(features: Features) -> str:
+    return f"{_P}{'INVALID' if features.version < SpecVersion.V1_1 else 'EMPTY'}-VALUE"

@@ -1,0 +1,79 @@
+"""The sequences that every run executes: drawn with Hypothesis once, selected, and kept as data.
+
+So they are the same for everyone, whatever the version of Hypothesis, and drawing costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from importlib import resources
+
+import msgspec
+
+from .steps import Call, Step, Wait
+
+#: Services after which an implementation differs for everybody.
+_PERIOD = "BPPAR_BEACON_PERIOD"
+#: Most variables or neighbours at once: an implementation may have room for few.
+_TOGETHER = 6
+
+
+class Sequence(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A sequence of steps, what it is about, and the requirements that its services decide."""
+
+    theme: str
+    steps: tuple[Step, ...]
+    requirements: tuple[str, ...] = ()
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The services that it calls."""
+        return tuple(dict.fromkeys(each.method for each in self.steps if isinstance(each, Call)))
+
+    @property
+    def periods(self) -> float:
+        """How long it takes at least, in beacon periods."""
+        return sum(each.periods for each in self.steps if isinstance(each, Wait))
+
+
+class Corpus(msgspec.Struct, frozen=True):
+    """The file of sequences."""
+
+    seed: int
+    sequences: tuple[Sequence, ...]
+
+
+@cache
+def corpus() -> Corpus:
+    """Return the sequences of a run."""
+    data = resources.files("dcp_conformance").joinpath("data", "model-sequences.json").read_bytes()
+    return msgspec.json.decode(data, type=Corpus)
+
+
+def usable(steps: tuple[Step, ...], longest: float) -> bool:
+    """Return whether a sequence suits any implementation: short, and without an effect on the tester's own times."""
+    return (
+        sum(each.periods for each in steps if isinstance(each, Wait)) <= longest
+        and all(not isinstance(each, Call) or each.params.get("name") != _PERIOD for each in steps)
+        and sum(each.times for each in steps if isinstance(each, Call)) <= 400
+        and not any(getattr(block, "count", 1) > _TOGETHER for each in steps for block in getattr(each, "blocks", ()))
+    )
+
+
+def selected(drawn: list[tuple[Sequence, frozenset[tuple[str, str]]]], most: int) -> list[Sequence]:
+    """Return up to ``most`` sequences that together reach the most pairs of state and event, rare ones first."""
+    rarity: Counter[tuple[str, str]] = Counter()
+    for _, pairs in drawn:
+        rarity.update(pairs)
+    left = list(drawn)
+    chosen: list[Sequence] = []
+    seen: set[tuple[str, str]] = set()
+    while left and len(chosen) < most:
+        best = max(left, key=lambda each: sum(1 / rarity[pair] for pair in sorted(each[1] - seen)))
+        if not best[1] - seen:
+            break
+        left.remove(best)
+        seen |= best[1]
+        chosen.append(best[0])
+    return sorted(chosen, key=lambda each: each.theme)

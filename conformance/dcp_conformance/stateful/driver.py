@@ -1,0 +1,472 @@
+"""Execute the steps of a sequence on an implementation and on its model, and judge each observation."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+import msgspec
+from dcp_spec.constants import BP_PROTID_VARDIS
+
+from dcp_codec.plan.tree import snake
+from dcp_codec.values import (
+    ExtendedSafetyData,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.frames.builder import Block, FrameBuilder
+from dcp_conformance.frames.sampling import Sampler
+from dcp_conformance.oracle.judgement import Finding, either
+from dcp_conformance.oracle.node import NodeModel
+from dcp_conformance.upper_tester import Answer
+
+from .executor import Event, Executor
+from .steps import FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
+
+#: Services whose octets are given as sizes.
+_SIZED: Final = ("payload", "value")
+_QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"
+_TABLE, _DESCRIBE, _ALL = "SRP-NeighbourTable", "RTDB-DescribeVariable", "RTDB-DescribeDatabase"
+
+
+class Row(msgspec.Struct, frozen=True):
+    """A step as it went: what was sent, what the model allowed, and what came."""
+
+    sent: str
+    allowed: str
+    came: str
+
+
+class Counterexample(AssertionError):  # noqa: N818 - not an error of the tester
+    """A sequence whose last step shows that the node violates a requirement."""
+
+    def __init__(self, finding: Finding, steps: list[Step], rows: list[Row]) -> None:
+        self.finding = finding
+        self.steps = steps
+        self.rows = rows
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        return "\n".join((", ".join(self.finding.requirements), *table(self.rows)))
+
+
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the lines of a table of steps."""
+    for number, row in enumerate(rows, 1):
+        yield f"{number:3} {row.sent}"
+        if row.allowed:
+            yield f"      allowed: {row.allowed}"
+        if row.came:
+            yield f"      came:    {row.came}"
+
+
+class Driver:
+    """Executes one sequence. Raises :class:`Counterexample` at the first observation that the model forbids."""
+
+    def __init__(self, executor: Executor, reached: Counter[tuple[str, str]] | None = None) -> None:
+        """``reached``: the pairs (state of the model, event), which are counted."""
+        self.executor = executor
+        self.reached = reached if reached is not None else Counter()
+        self.decided: dict[str, None] = {}
+        """The requirements that decided the statuses of this sequence."""
+        self.pairs: set[tuple[str, str]] = set()
+        """The pairs of this sequence."""
+        self.model = NodeModel(
+            executor.codec,
+            executor.own_id,
+            executor.parameters(),
+            executor.timing,
+            readings=executor.readings,
+            alone=executor.alone,
+        )
+        self.steps: list[Step] = []
+        self.rows: list[Row] = []
+        self._builder = FrameBuilder(executor.codec)
+        self._sampler = Sampler(executor.codec)
+        self._mark = 0
+        self._handed = 0
+        self._seqnos: Counter[int] = Counter()
+        self._unsettled = False
+        self._notifies = executor.codec.profile.behaviour.payload_transmitted_indication
+        self.protocols: dict[int, int] = {}
+        """The protocol identifiers of this run, by the numbers of the sequence."""
+        self.initial = dict(self.model.values)
+        """The values of the parameters at the beginning."""
+        self._row: list[str] = ["", ""]
+
+    @property
+    def least_packet(self) -> int:
+        """The smallest maximum packet size that every reading allows."""
+        return self.model.headers + 1
+
+    # -- steps -----------------------------------------------------------------------------------------------
+
+    def run(self, steps: Iterable[Step]) -> None:
+        """Execute all steps of a sequence, and what follows the last one."""
+        for step in steps:
+            self.step(step)
+        self.finish()
+
+    def step(self, step: Step) -> None:
+        """Execute one step."""
+        self.steps.append(step)
+        self._row = ["", ""]
+        try:
+            if isinstance(step, Call):
+                for _ in range(step.times):
+                    self._call(step)
+            elif isinstance(step, Beacon):
+                self._send(step)
+            else:
+                self._wait(round(step.periods * self.executor.timing.period))
+                self._look_around()
+        finally:
+            self.rows.append(Row(text(step), *self._row))
+
+    def finish(self) -> None:
+        """Wait until everything has shown, and query the whole state."""
+        self.steps.append(Wait(4))
+        self._row = ["", ""]
+        try:
+            self._wait(4 * self.executor.timing.period)
+            self._look_around()
+        finally:
+            self.rows.append(Row("wait 4 periods", *self._row))
+        self.steps.pop()
+
+    def _fail(self, finding: Finding) -> None:
+        self._row = [finding.expected, finding.observed]
+        row = Row(text(self.steps[-1]), *self._row)
+        raise Counterexample(finding, list(self.steps), [*self.rows, row])
+
+    def _judge(self, findings: Iterable[Finding]) -> None:
+        for finding in findings:
+            self._fail(finding)
+
+    def _count(self, state: str, event: str) -> None:
+        pair = (state, event)
+        self.pairs.add(pair)
+        self.reached[pair] += 1
+
+    # -- time ------------------------------------------------------------------------------------------------
+
+    def _wait(self, duration: int) -> None:
+        for event in self.executor.wait(duration):
+            self._take(event)
+        self._alive()
+        self._unsettled = False
+        self._judge(self.model.passed(self.executor.now(), notified=bool(self.protocols)))
+
+    def _take(self, event: Event) -> None:
+        if event.octets:
+            self._judge(self.model.beacon(event.octets, event.time))
+        else:
+            self._judge(self.model.notified(event.method, event.params))
+
+    def _settle(self) -> None:
+        """Wait until the node has processed the frames that were sent, before a service depends on them."""
+        if not self._unsettled:
+            return
+        timing = self.executor.timing
+        self._wait(timing.late + timing.flight)
+
+    def _alive(self) -> None:
+        if why := self.executor.died():
+            self._fail(Finding(("BP-RX-16", "VD-ROB-01"), "a node that runs", why))
+
+    # -- services --------------------------------------------------------------------------------------------
+
+    def _call(self, step: Call) -> None:
+        if step.method not in self.executor.methods:
+            return
+        params = self._resolved(step)
+        answer = self._asked(step.method, params)
+        if answer is None:
+            return
+        self._look_after(step.method, params, answer)
+
+    def _asked(self, method: str, params: dict[str, Any]) -> Answer | None:
+        """Call a service and judge the answer; None if there is none that can be judged."""
+        self._settle()
+        executor, model = self.executor, self.model
+        for event in executor.wait(0):
+            self._take(event)
+        self._count(self._state(method, params), method)
+        expected = model.expect(method, params, executor.now())
+        if expected and not expected[0].requirement.startswith("X"):
+            self.decided[expected[0].requirement] = None
+        before = executor.now(), executor.wall()
+        try:
+            answer = executor.call(method, params)
+        except UpperTesterError as error:
+            self._alive()
+            if not executor.lossy_services:
+                self._fail(Finding(("DATA-10",), f"an answer to {method}", str(error)))
+            model.bp.unknown_outcome(method, params)
+            return None
+        after = executor.now(), executor.wall()
+        self._alive()
+        self._row = [either([each for each in expected if each.status]), str(answer)]
+        self._judge(model.judge(method, params, expected, answer.status, answer.code))
+        if answer.code is not None:
+            model.bp.unknown_outcome(method, params)
+            return None
+        if method == "RTDB-Create" and answer.ok:
+            self.model.created(params, self._creation(params["varId"]), after[0])
+        self._judge(model.confirmed(method, params, answer.result | {"status": answer.status}, before, after))
+        return answer
+
+    def _creation(self, var_id: int) -> int | None:
+        if _DESCRIBE not in self.executor.methods:
+            return None
+        answer = self.executor.call(_DESCRIBE, {"varId": var_id})
+        found = answer.result.get("variable", {}).get("creationTime") if answer.ok else None
+        return found if isinstance(found, int) else None
+
+    def _resolved(self, step: Call) -> dict[str, Any]:
+        """Return the parameters of a call, with the identifiers of this run and new octets."""
+        params = dict(step.params)
+        if "protId" in params:
+            number = params["protId"]
+            params["protId"] = self.protocols.setdefault(number, self.executor.names.protocol(number))
+        if "varId" in params:
+            params["varId"] = self._variable(params["varId"])
+        for name in _SIZED if not step.method.endswith("-SetParameter") else ():
+            if isinstance(params.get(name), int):
+                params[name] = self._octets(params[name]).hex()
+        for name in ("descr", "name"):
+            if isinstance(params.get(name), int):
+                params[name] = _letters(params[name])
+        if step.method == "SRP-UpdateSafetyData":
+            params["sData"] = self._safety_data(self._handed)
+            self._handed += 1
+        return params
+
+    def _variable(self, number: int) -> int:
+        var_id = self.executor.names.variable(number)
+        self.model.vardis.mine.add(var_id)
+        return var_id
+
+    def _octets(self, size: int) -> bytes:
+        """Return octets that differ from those before, as far as the size allows."""
+        self._mark += 1
+        mark = self._mark.to_bytes(2, "big") if size > 1 else bytes((self._mark % 256,))
+        return (mark * (size // len(mark) + 1))[:size]
+
+    def _safety_data(self, number: int) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for index, field in enumerate(self.executor.codec.profile.srp.safety_data):
+            small = (7 * number + 3 * index + 1) % 100
+            values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else small
+        return values
+
+    # -- looking ---------------------------------------------------------------------------------------------
+
+    def _look(self, method: str, **params: Any) -> None:
+        if method in self.executor.methods:
+            row, self._row = self._row, ["", ""]
+            self._asked(method, params)
+            self._row = row
+
+    def _look_after(self, method: str, params: dict[str, Any], answer: Answer) -> None:
+        """Query what a service may have changed."""
+        if not self.executor.looks:
+            return
+        prot_id = params.get("protId")
+        if method in ("BP-RegisterProtocol", "BP-DeregisterProtocol"):
+            self._look(_LIST)
+        if prot_id in self.model.bp.clients and method != _QUERY:
+            self._look(_QUERY, protId=prot_id)
+        if method.endswith(("-Activate", "-Deactivate")) or params.get("name") == "BPPAR_MAXIMUM_PACKET_SIZE":
+            for each in list(self.model.bp.clients):
+                self._look(_QUERY, protId=each)
+        if "varId" in params:
+            self._look(_DESCRIBE, varId=params["varId"])
+        del answer
+
+    def _look_around(self) -> None:
+        """Query the whole state."""
+        if not self.executor.looks:
+            return
+        model = self.model
+        for prot_id in list(model.bp.clients):
+            self._look(_QUERY, protId=prot_id)
+        if model.srp.watched:
+            self._look(_TABLE)
+        if self.protocols:
+            self._look(_LIST)
+        if model.vardis.mine:
+            self._look(_ALL)
+            for var_id in sorted(model.vardis.mine)[:8]:
+                self._look("RTDB-Read", varId=var_id)
+                self._look(_DESCRIBE, varId=var_id)
+
+    # -- frames ----------------------------------------------------------------------------------------------
+
+    def _send(self, step: Beacon) -> None:
+        executor = self.executor
+        node_id, address = executor.names.neighbour(step.sender)
+        forbidden = FAULTS.get(step.fault, ())
+        for blocks in self._beacons(step):
+            for event in executor.wait(0):
+                self._take(event)
+            octets = self._framed(step, blocks, executor.own_id if step.fault == "own-sender" else node_id)
+            if octets is None:
+                return
+            time = executor.now()
+            executor.send(octets, address, len(blocks))
+            self.model.received([(each.protocol_id, each.octets) for each in blocks], time, forbidden)
+            self._unsettled = True
+            self._alive()
+        if not executor.looks:
+            return
+        if any(isinstance(each, Report) for each in step.blocks):
+            self._look(_TABLE)
+        ids = [each.variable for each in step.blocks if isinstance(each, Records) and each.count == 1]
+        for number in dict.fromkeys(ids):
+            self._look(_DESCRIBE, varId=self._variable(number))
+
+    def _beacons(self, step: Beacon) -> Iterator[list[Block]]:
+        """Yield the blocks of the beacons of a step: several if the records do not fit into one payload."""
+        blocks: list[Block] = []
+        model, codec = self.model, self.executor.codec
+        for each in step.blocks:
+            if isinstance(each, Client):
+                prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
+                self._count(model.bp.client_state(prot_id), "payload" + (f", {step.fault}" if step.fault else ""))
+                blocks.append(Block(prot_id, self._octets(each.size)))
+            elif isinstance(each, Report):
+                if not codec.profile.srp.is_report:
+                    continue
+                for number in range(each.neighbour, each.neighbour + each.count):
+                    report = self._report(number, each.seqno)
+                    self._count(
+                        model.srp.state_of(report.node_id), "report" + (f", {step.fault}" if step.fault else "")
+                    )
+                    if each.count > 1:
+                        yield [self._builder.srp(report)]
+                    else:
+                        blocks.append(self._builder.srp(report))
+            else:
+                yield from self._record_blocks(each, step, blocks)
+        if blocks:
+            yield blocks
+
+    def _record_blocks(self, each: Records, step: Beacon, blocks: list[Block]) -> Iterator[list[Block]]:
+        model = self.model
+        most = min(model.vardis.room.most, model.vardis.room.registered)
+        group: list[VardisRecord] = []
+        used = self._builder.container_header_size
+        for number in range(each.variable, each.variable + each.count):
+            record = self._record(each, number, step)
+            var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
+            self._count(model.vardis.state_of(var_id), each.kind + (f", {step.fault}" if step.fault else ""))
+            size = self._builder.record_size(record)
+            if group and (used + size > most or len(group) == 255):
+                yield [self._builder.vardis(*group)]
+                group, used = [], self._builder.container_header_size
+            group.append(record)
+            used += size
+        if group and used <= most:
+            made = self._builder.vardis(*group)
+            last = blocks[-1] if blocks and blocks[-1].protocol_id == BP_PROTID_VARDIS else None
+            if last is not None and len(last.octets) + len(made.octets) <= most:
+                blocks[-1] = Block(BP_PROTID_VARDIS, last.octets + made.octets)
+            else:
+                blocks.append(made)
+
+    def _framed(self, step: Beacon, blocks: list[Block], sender: bytes) -> bytes | None:
+        profile = self.executor.codec.profile
+        self._seqnos[step.sender] += 1
+        network = self.model.values.get("BPPAR_NETWORK_ID")
+        lies: dict[str, int | bytes] = {}
+        match step.fault:
+            case "version":
+                lies = {"bp.version": 0x11}
+            case "magic":
+                lies = {"bp.magicNo": 0x7E49}
+            case "no-length" if profile.has_header_field("length"):
+                lies = {"bp.length": 0}
+            case "no-payloads":
+                lies = {"bp.numPayloads": 0}
+            case "network" if network is not None:
+                network = (network + 1) % (1 << (8 * profile.types.network_id.width))
+            case "" | "own-sender":
+                pass
+            case _:
+                return None
+        if not profile.bp.header and step.fault:
+            return None
+        octets = self._builder.beacon(sender, self._seqnos[step.sender], blocks, network_id=network, lies=lies)
+        return octets if len(octets) <= profile.limits.uwb_max_packet else None
+
+    def _record(self, each: Records, number: int, step: Beacon) -> VardisRecord:
+        names, profile = self.executor.names, self.executor.codec.profile
+        var_id = self._variable(number)
+        fill = self._sampler.filled
+        seqno = each.seqno % (1 << 8 * profile.types.var_seqno.width)
+        match each.kind:
+            case "delete":
+                return fill(VarDelete(var_id))
+            case "ask-create":
+                return fill(VarReqCreate(var_id))
+            case "ask-update":
+                return fill(VarReqUpdate(var_id, seqno))
+            case "summary":
+                return fill(VarSumm(var_id, seqno))
+            case "update":
+                return fill(VarUpdate(var_id, seqno, self._octets(each.size)))
+        fields = profile.vardis.var_spec
+        producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]
+        longest = (1 << 8 * profile.types.var_timeout.width) - 1
+        spec = VarSpec(
+            var_id,
+            producer,
+            each.repetitions,
+            _letters(each.descr).encode(),
+            names.creation(each.creation) if "creationTime" in fields else None,
+            min(each.timeout, longest) if "timeout" in fields else None,
+        )
+        del step
+        return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size)))))
+
+    def _report(self, number: int, seqno: int) -> ExtendedSafetyData:
+        codec = self.executor.codec
+        kind = codec.safety_data_type
+        self._mark += 1
+        values = self._safety_data(self._mark)
+        data = {
+            snake(name) if snake(name) in kind.__struct_fields__ else name: bytes.fromhex(value)
+            if isinstance(value, str)
+            else value
+            for name, value in values.items()
+        }
+        return ExtendedSafetyData(
+            kind(**data), self.executor.names.neighbour(number)[0], self.executor.names.creation(self._mark % 8), seqno
+        )
+
+    def _state(self, method: str, params: dict[str, Any]) -> str:
+        """Return the name of the state of the model that a service depends on."""
+        model = self.model
+        if "varId" in params:
+            return model.vardis.state_of(params["varId"])
+        if "protId" in params:
+            return model.bp.client_state(params["protId"])
+        if method.startswith(("RTDB", "VD")):
+            return "VarDis active" if model.vardis.active else "VarDis inactive"
+        return f"BP {model.bp.state}"
+
+
+def _letters(size: int) -> str:
+    return ("abcdefghijklmnopqrstuvwxyz" * (size // 26 + 1))[:size]
+
+
+__all__ = ["Counterexample", "Driver", "Row", "table"]

@@ -1,0 +1,64 @@
+"""Judge a sequence on the bench of a case: a counterexample counts if it is seen again, and is made shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from dcp_conformance.test_system.bench import Bench
+
+from .driver import Counterexample, Driver, table
+from .on_bench import BenchExecutor
+from .steps import Step
+
+#: Executions to make a counterexample shorter.
+_ATTEMPTS = 12
+
+
+def execute(bench: Bench, steps: Sequence[Step], *, alone: bool) -> Counterexample | None:
+    """Execute a sequence with new identifiers, and undo what it changed. Return the counterexample, if there is one."""
+    driver = Driver(BenchExecutor(bench, alone=alone))
+    try:
+        driver.run(steps)
+    except Counterexample as found:
+        return found
+    finally:
+        bench.restoration.restore()
+    return None
+
+
+def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
+    """Execute a sequence, and record a check with the requirement that the model names.
+
+    A counterexample that a second execution does not show may be an effect of a loss or a delay, and is inconclusive.
+    """
+    expected = "every observation is one that the model allows"
+    found = execute(bench, steps, alone=alone)
+    if found is None:
+        bench.passed(expected)
+        return
+    first = found
+    for _ in range(2):
+        again = execute(bench, found.steps, alone=alone)
+        if again is None or again.finding.requirements != first.finding.requirements:
+            bench.inconclusive(
+                expected, f"{first.finding.observed}, but not in another execution", *first.finding.requirements
+            )
+        found = again
+    found = shorter(lambda: bench, found, alone=alone)
+    finding = found.finding
+    shown = "\n".join(table(found.rows))
+    bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
+
+
+def shorter(ready: Callable[[], Bench], found: Counterexample, *, alone: bool) -> Counterexample:
+    """Return the counterexample without steps that it does not need. ``ready`` returns a bench in its initial state."""
+    left = _ATTEMPTS
+    place = len(found.steps) - 1
+    while place >= 0 and left and len(found.steps) > 1:
+        fewer = [each for number, each in enumerate(found.steps) if number != place]
+        left -= 1
+        again = execute(ready(), fewer, alone=alone)
+        if again is not None and again.finding.requirements == found.finding.requirements:
+            found = again
+        place = min(place, len(found.steps)) - 1
+    return found

@@ -1,0 +1,481 @@
+"""The rules by which Hypothesis draws sequences: services, beacons of neighbours, parameters, activity, time.
+
+Sizes and counts are drawn at the boundaries that are in force when the step is taken (of a registration, a parameter,
+a width). Preconditions leave out steps that cannot have an effect. Smaller numbers are simpler, so that a sequence
+shrinks to few steps with usual values.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, ClassVar, Final, NamedTuple
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+from hypothesis import strategies as st
+from hypothesis import target
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+
+from dcp_conformance.oracle.bp import Client as Registration
+
+from .driver import Counterexample, Driver
+from .executor import Executor
+from .steps import OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
+
+#: Numbers of protocols, variables and neighbours: mostly the first, since what happens twice to one finds more.
+_CLIENTS: Final = 3
+#: One of those that there are.
+WHICH: Final = st.sampled_from((0, 0, 0, 1, 2))
+PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
+VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
+NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
+#: Beacon periods of a wait.
+PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
+#: What a sequence is about: the actions, more frequent ones several times. A sequence about everything reaches too
+#: little of anything.
+THEMES: Final[dict[str, tuple[str, ...]]] = {
+    "registrations": (
+        "renew",
+        "submit",
+        "register",
+        "submit",
+        "clear",
+        "switch_bp",
+        "wait",
+        "deregister",
+        "register_twice",
+    ),
+    "inactivity": (
+        "switch_bp",
+        "submit",
+        "register",
+        "submit",
+        "clear",
+        "report",
+        "payload",
+        "records",
+        "renew",
+        "wait",
+    ),
+    "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
+    "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
+    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "hand_down", "wait"),
+    "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
+    "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
+    "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
+    "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
+    "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
+    "everything": (),
+}
+_QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
+REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
+    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above")),
+    "mode": st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
+    "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 300, 256, 255, 0)),
+    "several": st.booleans(),
+    "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
+}
+_FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
+_TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
+_KINDS: Final[tuple[RecordKind, ...]] = ("create", "update", "delete", "summary", "ask-update", "ask-create")
+#: Numbers of variables at once: few, more than fit into a small payload, more than half of a container.
+_CROWDS: Final = st.sampled_from((6, 30, 140, 200))
+
+
+class Action(NamedTuple):
+    """A kind of step: what draws its arguments, when it can have an effect, and the method that takes it."""
+
+    arguments: st.SearchStrategy[dict[str, Any]]
+    possible: Callable[[NodeMachine], bool]
+    take: Callable[..., None]
+
+
+ACTIONS: Final[dict[str, Action]] = {}
+_Possible = Callable[["NodeMachine"], bool]
+
+
+def action(possible: _Possible, **arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Any]:
+    """Make an action of a method.
+
+    Hypothesis would switch most of its own rules off in a sequence, which suits machines of which any few rules find
+    something; here it takes four or five different ones.
+    """
+
+    def decorate(function: Callable[..., None]) -> Any:
+        ACTIONS[function.__name__] = Action(st.fixed_dictionaries(arguments), possible, function)
+        return function
+
+    return decorate
+
+
+class NodeMachine(RuleBasedStateMachine):
+    """Draws a sequence, executes it on an implementation, and judges it with the model.
+
+    Subclasses return the implementation from :meth:`open`; with :meth:`close` they take it back.
+    """
+
+    reached: ClassVar[Counter[tuple[str, str]]] = Counter()
+    """The pairs (state of the model, event) of all sequences, with the number of their occurrences."""
+    executed: ClassVar[Counter[str]] = Counter()
+    """Number of sequences and steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.executor = self.open()
+        self.driver = Driver(self.executor, self.reached)
+        self.counterexample: Counterexample | None = None
+        self._version = self.executor.codec.profile.spec_version
+        self.title = ""
+        """What the sequence is about."""
+        self.theme: tuple[str, ...] = tuple(ACTIONS)
+        self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
+
+    @initialize(theme=st.sampled_from(tuple(THEMES)))
+    def about(self, theme: str) -> None:
+        """Choose what the sequence is about."""
+        self.title = theme
+        self.theme = THEMES[theme] or tuple(ACTIONS)
+
+    @rule(data=st.data())
+    def act(self, data: st.DataObject) -> None:
+        """Take one of the actions of the theme that can have an effect now."""
+        possible = [name for name in self.theme if ACTIONS[name].possible(self)]
+        chosen = ACTIONS[data.draw(st.sampled_from(possible or ("wait",)))]
+        chosen.take(self, **data.draw(chosen.arguments))
+
+    def open(self) -> Executor:
+        """Return an implementation in its initial state."""
+        raise NotImplementedError
+
+    def close(self, executor: Executor) -> None:
+        """Release what :meth:`open` returned."""
+
+    def take(self, step: Step) -> None:
+        """Execute a step."""
+        self.executed["steps"] += 1
+        try:
+            self.driver.step(step)
+        except Counterexample as found:
+            self.counterexample = found
+            raise
+
+    def teardown(self) -> None:
+        """Finish the sequence, unless it has ended with a counterexample."""
+        self.executed["sequences"] += 1
+        try:
+            if self.counterexample is None:
+                self.driver.finish()
+                target(float(sum(1 / self.reached[pair] for pair in self.driver.pairs)), label="rare pairs")
+        finally:
+            self.close(self.executor)
+
+    # -- what there is ---------------------------------------------------------------------------------------
+
+    def has(self, method: str) -> bool:
+        """Return whether the upper tester has a method."""
+        return method in self.executor.methods
+
+    def registrations(self) -> dict[int, Registration]:
+        """Return the registrations by the numbers of the sequence."""
+        clients = self.driver.model.bp.clients
+        return {number: clients[prot] for number, prot in self.driver.protocols.items() if prot in clients}
+
+    @property
+    def registered(self) -> bool:
+        """Whether there is a registration."""
+        return bool(self.driver.model.bp.clients)
+
+    # -- BP --------------------------------------------------------------------------------------------------
+
+    @action(lambda self: self.has("BP-RegisterProtocol") and len(self.registrations()) < _CLIENTS, **REGISTRATION)
+    def register(self, **what: Any) -> None:
+        """Register a client protocol that is not registered."""
+        taken = self.registrations()
+        self.take(self._registration(next(each for each in range(_CLIENTS) if each not in taken), **what))
+
+    @action(lambda self: self.registered, which=WHICH, **REGISTRATION)
+    def register_twice(self, which: int, **what: Any) -> None:
+        """Register a client protocol that is registered."""
+        self.take(self._registration(self._one_of(which), **what))
+
+    @action(lambda self: self.registered, which=WHICH, **REGISTRATION)
+    def renew(self, which: int, **what: Any) -> None:
+        """Deregister a client protocol, and register it differently."""
+        number = self._one_of(which)
+        self.take(Call("BP-DeregisterProtocol", {"protId": number}))
+        self.take(self._registration(number, **what))
+
+    def _one_of(self, which: int) -> int:
+        """Return the number of a registered protocol."""
+        there = sorted(self.registrations())
+        return there[which % len(there)]
+
+    def _registration(
+        self, number: int, size: int | str, mode: QueueingMode, entries: int, several: bool, name: int
+    ) -> Call:
+        largest = self.driver.model.bp.largest
+        most = largest if size == "largest" else largest + 1 if size == "above" else size
+        if self._version < SpecVersion.V1_1:
+            mode = QueueingMode.QUEUE if mode in _QUEUES else mode
+        params: dict[str, Any] = {"protId": number, "name": name, "maxPayloadSize": most, "queueingMode": mode.value}
+        if self._version >= SpecVersion.V1_1:
+            params |= {"maxEntries": entries, "allowMultiplePayloads": several}
+        return Call("BP-RegisterProtocol", params)
+
+    @action(lambda self: self.registered, which=WHICH)
+    def deregister(self, which: int) -> None:
+        """Deregister a client protocol."""
+        self.take(Call("BP-DeregisterProtocol", {"protId": self._one_of(which)}))
+
+    @action(
+        lambda self: self.registered,
+        which=WHICH,
+        size=st.sampled_from(("usual", "most", "usual", "usual", "above", "empty", "one")),
+        times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
+    )
+    def submit(self, which: int, size: str, times: int | str) -> None:
+        """Submit payloads."""
+        number = self._one_of(which)
+        client = self.registrations()[number]
+        octets = {"usual": min(4, client.most), "most": client.most, "above": client.most + 1, "empty": 0, "one": 1}[
+            size
+        ]
+        if times == "fill":
+            times = client.entries + 1 if client.mode in _QUEUES else 2
+        self.take(Call("BP-TransmitPayload", {"protId": number, "payload": octets}, int(times)))
+
+    @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=WHICH)
+    def clear(self, which: int) -> None:
+        """Clear the buffer of a client protocol."""
+        self.take(Call("BP-ClearBuffer", {"protId": self._one_of(which)}))
+
+    @action(lambda self: self.has("BP-MGMT-Deactivate") and self.executor.alone)
+    def switch_bp(self) -> None:
+        """Deactivate BP, or activate it again."""
+        on = self.driver.model.bp.active
+        self.take(Call(f"BP-MGMT-{'Deactivate' if on else 'Activate'}"))
+
+    @action(
+        lambda self: self.registered,
+        sender=NEIGHBOURS,
+        number=PROTOCOLS,
+        size=st.sampled_from((4, 1, 20, 0)),
+        fault=_FAULTS,
+    )
+    def payload(self, sender: int, number: int, size: int, fault: Any) -> None:
+        """Send a payload to a client protocol."""
+        self.take(Beacon(sender, (Client(number, size),), fault))
+
+    # -- parameters ------------------------------------------------------------------------------------------
+
+    @action(
+        lambda self: self.has("BP-SetParameter") and self.executor.alone,
+        value=st.sampled_from(("initial", 120, 200, 300, "least")),
+    )
+    def resize(self, value: int | str) -> None:
+        """Set the maximum packet size."""
+        model = self.driver.model
+        initial = self.driver.initial["BPPAR_MAXIMUM_PACKET_SIZE"]
+        least = self.driver.least_packet
+        size = initial if value == "initial" else least if value == "least" else min(int(value), initial)
+        if size != model.values["BPPAR_MAXIMUM_PACKET_SIZE"]:
+            self._set("BP", "BPPAR_MAXIMUM_PACKET_SIZE", size)
+
+    @action(lambda self: self.has("BP-SetParameter") and self.executor.alone, factor=st.sampled_from((1, 2, 4, 0.5)))
+    def change_period(self, factor: float) -> None:
+        """Set the beacon period."""
+        self._set("BP", "BPPAR_BEACON_PERIOD", int(self.driver.initial["BPPAR_BEACON_PERIOD"] * factor) or 1)
+
+    @action(
+        lambda self: self.has("BP-SetParameter") and self.executor.alone,
+        value=st.sampled_from(("initial", 0, 1, 65535)),
+    )
+    def change_network(self, value: int | str) -> None:
+        """Set the network identifier."""
+        if "BPPAR_NETWORK_ID" not in self.driver.initial:
+            return
+        self._set("BP", "BPPAR_NETWORK_ID", self.driver.initial["BPPAR_NETWORK_ID"] if value == "initial" else value)
+
+    @action(
+        lambda self: self.has("SRP-SetParameter") and self.executor.alone,
+        value=st.sampled_from((3000, 1000, 300, 20000, 70000)),
+    )
+    def change_neighbour_timeout(self, value: int) -> None:
+        """Set the timeout of neighbours."""
+        self._set("SRP", "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", value)
+
+    @action(
+        lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone,
+        what=st.sampled_from(
+            ("SUMMARIES", "REPETITIONS", "VALUE_LENGTH", "DESCRIPTION_LENGTH", "PAYLOAD_SIZE", "SCRUB")
+        ),
+        value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)),
+    )
+    def change_vardis(self, what: str, value: int | str) -> None:
+        """Set a parameter of VarDis."""
+        model = self.driver.model
+        name = "VARDISPAR_SCRUBBING_PERIOD" if what == "SCRUB" else f"VARDISPAR_MAX_{what}"
+        if name not in self.driver.initial:
+            return
+        number = int(self.driver.initial[name] if value == "initial" else value)
+        if what == "PAYLOAD_SIZE":
+            number = min(max(number, model.least_payload), self.driver.initial[name])
+        elif what == "SCRUB":
+            number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
+        number = model.bounded(name, number)
+        self._set("VD", name, number)
+
+    @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
+    def narrow(self) -> None:
+        """Make payloads as small as possible."""
+        for what in ("VALUE_LENGTH", "DESCRIPTION_LENGTH"):
+            self._set("VD", f"VARDISPAR_MAX_{what}", 1)
+        self._set("VD", "VARDISPAR_MAX_SUMMARIES", 1)
+        self._set("VD", "VARDISPAR_MAX_PAYLOAD_SIZE", self.driver.model.least_payload)
+
+    def _set(self, protocol: str, name: str, value: Any) -> None:
+        self.take(Call(f"{protocol}-SetParameter", {"name": name, "value": value}))
+
+    # -- SRP -------------------------------------------------------------------------------------------------
+
+    @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
+    def hand_down(self, times: int, pause: bool) -> None:
+        """Hand safety data down."""
+        for _ in range(times):
+            if pause:
+                self.take(Wait(0.4))
+            self.take(Call("SRP-UpdateSafetyData"))
+
+    @action(
+        lambda self: self.has("SRP-NeighbourTable"),
+        sender=NEIGHBOURS,
+        neighbour=st.sampled_from((0, 1, 2, 3)),
+        seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
+        count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
+        fault=_FAULTS,
+    )
+    def report(self, sender: int, neighbour: int, seqno: int, count: int, fault: Any) -> None:
+        """Send state reports."""
+        self.take(Beacon(sender, (Report(neighbour, seqno, count),), fault))
+
+    # -- VarDis ----------------------------------------------------------------------------------------------
+
+    @action(
+        lambda self: self._vardis,
+        number=VARIABLES,
+        size=st.sampled_from((2, 2, 2, 2, "most", 1, "above", 0)),
+        descr=st.sampled_from((3, 3, 3, 3, 3, "most", 1, "above", 0)),
+        repetitions=st.sampled_from((1, 1, "most", "most", "most", "above", 0)),
+        timeout=_TIMEOUTS,
+    )
+    def create(self, number: int, size: int | str, descr: int | str, repetitions: int | str, timeout: int) -> None:
+        """Create a variable of the node."""
+        params = {
+            "varId": number,
+            "repCnt": self._limit(repetitions, "REPETITIONS"),
+            "descr": self._limit(descr, "DESCRIPTION_LENGTH"),
+            "value": self._limit(size, "VALUE_LENGTH"),
+        }
+        if self._version >= SpecVersion.V2_0:
+            params["timeout"] = timeout
+        self.take(Call("RTDB-Create", params))
+
+    @action(
+        lambda self: self._vardis,
+        number=VARIABLES,
+        size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
+        times=st.sampled_from((1, 2)),
+    )
+    def update(self, number: int, size: int | str, times: int) -> None:
+        """Update a variable."""
+        self.take(Call("RTDB-Update", {"varId": number, "value": self._limit(size, "VALUE_LENGTH")}, times))
+
+    @action(lambda self: self._vardis, number=VARIABLES)
+    def delete(self, number: int) -> None:
+        """Delete a variable."""
+        self.take(Call("RTDB-Delete", {"varId": number}))
+
+    @action(lambda self: self.has("VD-MGMT-Deactivate") and self.executor.alone)
+    def switch_vardis(self) -> None:
+        """Deactivate VarDis, or activate it again."""
+        on = self.driver.model.vardis.active
+        self.take(Call(f"VD-MGMT-{'Deactivate' if on else 'Activate'}"))
+
+    @action(
+        lambda self: self.executor.hears_vardis,
+        sender=NEIGHBOURS,
+        records=st.lists(
+            st.tuples(
+                st.sampled_from(_KINDS),
+                VARIABLES,
+                st.sampled_from((0, 1, 1, 1, 2, -1, -1, 127, 128, 129)),
+                st.sampled_from((2, 2, 2, 2, 2, 1, "most", "above", 0)),
+                st.sampled_from((1, 1, "most", "most", "above", 0)),
+                st.sampled_from((1, 1, 2, 0, 9)),
+                st.sampled_from((0, 0, 0, 1, OWN)),
+                _TIMEOUTS,
+            ),
+            min_size=1,
+            max_size=3,
+        ),
+        fault=_FAULTS,
+    )
+    def records(self, sender: int, records: list[Any], fault: Any) -> None:
+        """Send instructions about variables."""
+        model = self.driver.model.vardis
+        blocks = []
+        for kind, number, step, size, repetitions, creation, producer, timeout in records:
+            known = model.variables.get(self.executor.names.variable(number))
+            seqno = step if known is None or kind == "create" else known.now.seqno + step
+            blocks.append(
+                Records(
+                    kind, number, 1, seqno, self._limit(size, "VALUE_LENGTH"),
+                    self._limit(size, "DESCRIPTION_LENGTH", 3), self._limit(repetitions, "REPETITIONS"), producer,
+                    creation, timeout,
+                )
+            )  # fmt: skip
+        self.take(Beacon(sender, tuple(blocks), fault))
+
+    @action(
+        lambda self: self.executor.hears_vardis and self.executor.crowds > 32,
+        kind=st.sampled_from(("create", "summary", "delete", "update", "ask-create")),
+        count=_CROWDS,
+        repetitions=st.sampled_from((1, "most")),
+        seqno=st.sampled_from((0, 1)),
+        creation=st.sampled_from((1, 2)),
+    )
+    def crowd(self, kind: Any, count: int, repetitions: int | str, seqno: int, creation: int) -> None:
+        """Send instructions about many variables."""
+        count = min(count, self.executor.crowds - 8)
+        record = Records(kind, 6, count, seqno, 1, 1, self._limit(repetitions, "REPETITIONS"), 0, creation)
+        self.take(Beacon(0, (record,)))
+
+    def _limit(self, size: int | str, name: str, usual: int | None = None) -> int:
+        """Return a size, or one at the limit of a parameter."""
+        most = int(self.driver.model.values[f"VARDISPAR_MAX_{name}"])
+        if size == "most":
+            return min(most, 255)
+        if size == "above":
+            return min(most + 1, 255)
+        return min(int(size) if usual is None else usual, max(most, 1))
+
+    @action(lambda self: bool(self.driver.model.srp.table), part=st.sampled_from((1.4, 0.9, 0.5, 1.4)))
+    def age(self, part: float) -> None:
+        """Let a part of the timeout of neighbours pass."""
+        self.take(Wait(round(part * self.driver.model.srp.timeout / self.executor.timing.period + 1, 1)))
+
+    @action(lambda self: self.driver.model.vardis.next_timeout is not None, part=st.sampled_from((1.1, 0.9, 1.1, 1.7)))
+    def outlast(self, part: float) -> None:
+        """Let a part of the timeout of a variable pass, and a scrubbing."""
+        due = self.driver.model.vardis.next_timeout or 0
+        left = max(due - self.executor.now(), 0)
+        scrub = self.driver.model.values.get("VARDISPAR_SCRUBBING_PERIOD", 1000) * 1_000_000
+        duration = left * part + (1.5 * scrub if part > 1 else 0)
+        self.take(Wait(round(duration / self.executor.timing.period + 1, 1)))
+
+    # -- time ------------------------------------------------------------------------------------------------
+
+    @action(lambda _: True, periods=PERIODS)
+    def wait(self, periods: float) -> None:
+        """Let time pass."""
+        self.take(Wait(periods))

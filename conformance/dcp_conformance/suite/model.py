@@ -1,0 +1,35 @@
+"""Sequences of steps, judged by the model of the whole node."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.stateful.corpus import Sequence, corpus
+from dcp_conformance.stateful.judged import judge
+from dcp_conformance.test_system.bench import Bench
+
+
+def _variants() -> dict[str, Variant]:
+    """Return a variant for each sequence."""
+    counts: dict[str, int] = defaultdict(int)
+    found: dict[str, Variant] = {}
+    for each in corpus().sequences:
+        counts[each.theme] += 1
+        name = f"{each.theme}-{counts[each.theme]:02}"
+        needs = Needs(ut=each.methods, entities=())
+        found[name] = Variant(each, requirements=" ".join(each.requirements), needs=needs)
+    return found
+
+
+@case(
+    "TC_DCP_MODEL_BV_01",
+    "No observation contradicts the model of a node: {variant}",
+    requirements="BP-RX-16",
+    stimulus="services, beacons of neighbours and waits, drawn at random (seed in data/model-sequences.json)",
+    expect="every confirm, notification, beacon, table and database is one that the model allows",
+    window=8,
+    variants=_variants(),
+)
+def sequences(bench: Bench, sequence: Sequence) -> None:
+    judge(bench, sequence.steps, alone=False)

@@ -1,0 +1,392 @@
+"""The ledger of a recording: for each node and variable the states that its beacons show, and for how long.
+
+Every VarDis record tells something about the database of its sender (dcp-vardis.md, "Basic Transmissible Data
+Types"): a create, an update, a summary and a request for an update carry the sequence number that the node has, a
+delete means that the node has deleted the variable, a request for a create that it does not know the variable.
+
+:class:`Ledger` follows beacons in their order. An :class:`Entry` is one state of a variable at a node: since when and
+until when the node has stated it, with frames, the frames in which it sent the value, and its requests. A newly
+accepted value shows with the node's next beacon about the variable. Memory is bounded: with too many entries, the
+resolution of time decreases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import repeat
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
+
+import msgspec
+from dcp_spec.constants import ICType
+
+from dcp_codec.jsonform import node_id_text
+from dcp_codec.values import Beacon, VarSumm
+
+DELETED: Final = -1
+"""In place of a sequence number: the node has deleted the variable."""
+UNKNOWN: Final = -2
+"""In place of a sequence number: the node has asked for the variable's creation, or has sent no record about it."""
+
+CREATE, UPDATE, SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
+"""Local aliases: access to enum members costs more time than most rules."""
+
+Creation = tuple[bytes, int | None]
+"""The identity of a creation: prodId, and creationTime (None before 2.0)."""
+Stamp = tuple[int, int]
+"""Number of a frame and its time in ns since 1970."""
+
+#: Maximum number of pairs of node and variable that are followed, and of entries that are kept exactly.
+MOST_PAIRS, MOST_ENTRIES = 1 << 18, 60_000
+#: Number of frames with the value that an entry keeps: the first ones, and the last one.
+_CARRIED = 8
+
+
+class Statement(msgspec.Struct, frozen=True, gc=False):
+    """A record of a VarDis payload with its sender, frame number and time, but without the frame."""
+
+    kind: ICType
+    record: Any
+    frame: int
+    """Number of the frame in the recording."""
+    time: int
+    """ns since 1970."""
+    sender: bytes
+    var_id: int
+    """Variable identifier; of a VarCreate the one in its VarSpec (X14)."""
+    number: int
+    """Sequence number of the variable in the record; -1 if it has none."""
+
+
+class News(NamedTuple):
+    """A record other than a summary that repeats the sequence number which the node stated last."""
+
+    statement: Statement
+    """The record."""
+    before: Statement | None
+    """The node's previous create, update or summary of the variable. None if there is none, if beacons of the node are
+    missing since then, or if the node has deleted the variable since then."""
+
+
+class Part(NamedTuple):
+    """The records of a container, and their variable identifiers in the same order."""
+
+    kind: ICType
+    records: Sequence[Any]
+    ids: list[int]
+
+
+def part_of(records: Sequence[Any]) -> Part | None:
+    """Return the records of a container; None for an empty one, and for a type that a profile adds."""
+    if not records or (kind := records[0].IC_TYPE) is None:
+        return None
+    return Part(kind, records, [each.spec.var_id for each in records] if kind is CREATE else _ids(records))
+
+
+def _ids(records: Sequence[Any]) -> list[int]:
+    return [each.var_id for each in records]
+
+
+def parts_of(beacon: Beacon) -> list[Part]:
+    """Return the VarDis records of a beacon by container."""
+    containers = (each for payload in beacon.payloads for each in payload.vardis or ())
+    return [part for each in containers if (part := part_of(each.records)) is not None]
+
+
+def statement(kind: ICType, record: Any, frame: int, time: int, sender: bytes) -> Statement:
+    """Return a record as a statement of ``sender``."""
+    if kind is CREATE:
+        return Statement(kind, record, frame, time, sender, record.spec.var_id, record.upd.seqno)
+    number = -1 if kind is DELETE or kind is ASK_CREATE else record.seqno
+    return Statement(kind, record, frame, time, sender, record.var_id, number)
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """One state of a variable at a node.
+
+    ``number`` is its sequence number, or :data:`DELETED` or :data:`UNKNOWN`; ``creation`` is from the node's last
+    create, None if it sent none.
+    """
+
+    node: bytes
+    var_id: int
+    number: int
+    creation: Creation | None
+    kind: ICType
+    """Type of the first record with this state."""
+    frame: int
+    """Number of its frame."""
+    time: int
+    """Time of that frame, ns since 1970."""
+    last: int
+    """Number of the last frame with this state."""
+    until: int
+    """Time of that frame, ns since 1970."""
+    carried: list[Stamp] = field(default_factory=list)
+    """Frames in which the node sent the value (creates and updates): the first ones, and the last one."""
+    values: int = 0
+    """Number of these frames."""
+    asked: int = 0
+    """Number of its requests in this state."""
+    last_asked: Stamp | None = None
+    """The last one of them."""
+
+    def carry(self, frame: int, time: int) -> None:
+        """Note a frame with the value."""
+        self.values += 1
+        if len(self.carried) < _CARRIED:
+            self.carried.append((frame, time))
+        else:
+            self.carried[-1] = (frame, time)
+
+
+class _Voice:
+    """The statements of one node since the last gap in its beacons, and its entries."""
+
+    __slots__ = ("again", "entries", "last", "numbers", "odd", "unbroken")
+
+    def __init__(self, unbroken: int) -> None:
+        self.unbroken = unbroken
+        """Time since which no beacon of the node is missing."""
+        self.numbers: dict[int, int] = {}
+        """Variable -> the sequence number that the node stated last."""
+        self.last: dict[int, Statement] = {}
+        """Variable -> the first record with that number, or a later one that is not a summary."""
+        self.again: dict[int, Stamp] = {}
+        """Variable -> the last summary that repeats that number after the record in ``last``."""
+        self.entries: dict[int, Entry] = {}
+        """Variable -> its present state at the node."""
+        self.odd: set[int] = set()
+        """Variables that the node has requested although it holds them, until it states their numbers again."""
+
+
+class Ledger:
+    """The states of all variables at all nodes of a recording."""
+
+    def __init__(self, pairs: int = MOST_PAIRS, entries: int = MOST_ENTRIES) -> None:
+        """``pairs``: maximum number of pairs of node and variable. ``entries``: number of states kept exactly."""
+        self._most, self._room = pairs, entries
+        self._pairs = 0
+        self._voices: dict[bytes, _Voice] = {}
+        self._ended: list[Entry] = []
+        self._begun: list[Entry] = []
+        """The states that the last beacon begins."""
+        self.producers: dict[int, bytes] = {}
+        """By variable: the prodId of the most recent creation."""
+        self._changes: list[tuple[int, int, bytes]] = []
+        """Changes of producers: time, variable, node."""
+        self.interval = 1_000_000
+        """Resolution of time in ns: only the last state of a pair in an interval is kept."""
+        self.begin: int | None = None
+        self.end = 0
+
+    # -- input ---------------------------------------------------------------------------------------------------------
+
+    def feed(self, frame: int, time: int, node: bytes, beacon: Beacon) -> list[Entry]:
+        """Process the next beacon of a node; return the states that it begins. Missing beacons do not matter."""
+        self.feed_parts(frame, time, node, parts_of(beacon))
+        return self._begun
+
+    def feed_parts(
+        self, frame: int, time: int, node: bytes, parts: Sequence[Part], unbroken: int = 0
+    ) -> tuple[Sequence[News], int]:
+        """Process the VarDis records of the next beacon.
+
+        ``time``: ns since 1970. ``unbroken``: the time since which no beacon of the node is missing. Return the records
+        without repeated summaries, in their order, and the number of these. Most records of a recording are repeated
+        summaries.
+        """
+        if self.begin is None:
+            self.begin = self.end = time
+        if time > self.end:
+            self.end = time
+        self._begun = []
+        voice = self._voices.get(node)
+        if voice is None:
+            voice = self._voices[node] = _Voice(unbroken)
+        elif voice.unbroken != unbroken:
+            self._forget(voice, unbroken)
+        numbers, stamp, count = voice.numbers, (frame, time), 0
+        news: list[News] = []
+        for kind, records, ids in parts:
+            if kind is not SUMMARY:
+                for each in records:
+                    news.append(self._news(statement(kind, each, frame, time, node), voice))
+                continue
+            numbers_now = [each.seqno for each in records]
+            if [*map(numbers.get, ids)] == numbers_now and not voice.odd:
+                voice.again.update(dict.fromkeys(ids, stamp))
+                count += len(ids)
+                continue
+            for record, var_id, number in zip(records, ids, numbers_now, strict=True):
+                # The container may have several records of a variable.
+                if numbers.get(var_id) == number:
+                    voice.again[var_id] = stamp
+                    count += 1
+                    if var_id in voice.odd:
+                        self._state(Statement(kind, record, *stamp, node, var_id, number), voice, number)
+                else:
+                    news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), voice))
+        return news, count
+
+    def _news(self, each: Statement, voice: _Voice) -> News:
+        """Return a record together with the node's previous one, and store it."""
+        kind, var_id = each.kind, each.var_id
+        before = voice.last.get(var_id)
+        again = voice.again.get(var_id)
+        if before is not None and again is not None:
+            number = before.number
+            before = Statement(SUMMARY, VarSumm(var_id, number), *again, each.sender, var_id, number)
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            self._state(each, voice, each.number)
+            if var_id in voice.entries:
+                voice.last[var_id], voice.numbers[var_id] = each, each.number
+            if again is not None:
+                del voice.again[var_id]
+        elif kind is DELETE:
+            self._state(each, voice, DELETED)
+            if before is not None:
+                del voice.last[var_id], voice.numbers[var_id]
+                voice.again.pop(var_id, None)
+        elif kind is ASK_CREATE:
+            self._state(each, voice, UNKNOWN)
+        else:
+            self._state(each, voice, each.number)
+        return News(each, before)
+
+    def _state(self, each: Statement, voice: _Voice, number: int) -> None:
+        """Begin an entry, or continue the present one."""
+        kind, var_id = each.kind, each.var_id
+        entry = voice.entries.get(var_id)
+        creation = None if entry is None else entry.creation
+        if kind is CREATE:
+            spec = each.record.spec
+            creation = (spec.prod_id, spec.creation_time)
+            if self.producers.get(var_id) != spec.prod_id:
+                self.producers[var_id] = spec.prod_id
+                self._changes.append((self.end, var_id, spec.prod_id))
+        # The first create of a state tells which creation it belongs to.
+        if entry is not None and entry.number == number and (entry.creation == creation or entry.creation is None):
+            entry.creation, entry.last, entry.until = creation, each.frame, each.time
+        else:
+            if entry is not None:
+                self._close(entry, voice)
+            elif self._pairs < self._most:
+                self._pairs += 1
+            else:
+                return
+            entry = voice.entries[var_id] = Entry(
+                each.sender, var_id, number, creation, kind, each.frame, each.time, each.frame, each.time
+            )
+            self._begun.append(entry)
+        if kind is UPDATE or kind is CREATE:
+            entry.carry(each.frame, each.time)
+        elif kind is ASK_UPDATE or kind is ASK_CREATE:
+            entry.asked += 1
+            entry.last_asked = (each.frame, each.time)
+            if var_id in voice.numbers and (kind is ASK_CREATE or voice.numbers[var_id] != number):
+                voice.odd.add(var_id)
+            return
+        if voice.odd:
+            voice.odd.discard(var_id)
+
+    def _close(self, entry: Entry, voice: _Voice) -> None:
+        """End the present state of a variable at a node."""
+        self._reach(entry, voice)
+        self._ended.append(entry)
+        if len(self._ended) > self._room:
+            self._coarser()
+
+    @staticmethod
+    def _reach(entry: Entry, voice: _Voice) -> None:
+        """Take the last repeated summary into account."""
+        again = voice.again.get(entry.var_id)
+        if again is not None and again[1] >= entry.until and voice.numbers.get(entry.var_id) == entry.number:
+            entry.last, entry.until = again
+
+    def _coarser(self) -> None:
+        """Keep only the last state of each pair in an interval, which is doubled until half of the room is free."""
+        begin = self.begin or 0
+        while len(self._ended) > self._room // 2:
+            self.interval *= 2
+            kept = {((each.time - begin) // self.interval, each.node, each.var_id): each for each in self._ended}
+            self._ended = list(kept.values())
+            if self.interval > 1 << 62:
+                break
+        self._changes = list({(at // self.interval, var): (at, var, who) for at, var, who in self._changes}.values())
+
+    def _forget(self, voice: _Voice, unbroken: int) -> None:
+        """Forget a node's statements after missing beacons: it may have changed any number in between."""
+        for var_id in voice.again:
+            if (entry := voice.entries.get(var_id)) is not None:
+                self._reach(entry, voice)
+        voice.unbroken = unbroken
+        voice.numbers.clear()
+        voice.last.clear()
+        voice.again.clear()
+        voice.odd.clear()
+
+    # -- queries -------------------------------------------------------------------------------------------------------
+
+    @property
+    def nodes(self) -> list[bytes]:
+        """Return all senders, in the order of their first beacon."""
+        return list(self._voices)
+
+    def held(self, node: bytes, var_id: int) -> Entry | None:
+        """Return the present state of a variable at a node; None if it has sent no record about it."""
+        voice = self._voices.get(node)
+        entry = None if voice is None else voice.entries.get(var_id)
+        if entry is not None and voice is not None:
+            self._reach(entry, voice)
+        return entry
+
+    def entries(self, var_id: int | None = None, node: bytes | None = None) -> list[Entry]:
+        """Return the states of a variable and a node (default: all), in the order of time."""
+        for voice in self._voices.values():
+            for entry in voice.entries.values():
+                self._reach(entry, voice)
+        now = (each for voice in self._voices.values() for each in voice.entries.values())
+        found = [
+            each
+            for each in (*self._ended, *now)
+            if (var_id is None or each.var_id == var_id) and (node is None or each.node == node)
+        ]
+        return sorted(found, key=attrgetter("time", "frame"))
+
+    def as_json(self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None) -> dict[str, Any]:
+        """Return the states for programs and pages: times in intervals since ``begin``, nodes and variables by index.
+
+        ``representation``: the format of node identifiers. ``changes`` are rows of time difference, node, variable,
+        number (:data:`DELETED`, :data:`UNKNOWN`), frame, number of requests, index of the row of the state from which
+        it came and number of the frame that brought it (-1 and 0 if there is none, :func:`.chain.sources`);
+        ``producers`` are rows of time, variable, node. ``came``: source and frame of all states; None: unknown.
+        """
+        begin, rows, last = self.begin or 0, [], 0
+        nodes: dict[bytes, int] = {}
+        variables: dict[int, int] = {}
+        entries = self.entries()
+        index = {id(each): place for place, each in enumerate(entries)}
+        for each, (source, frame) in zip(entries, came or repeat((None, 0), len(entries)), strict=True):
+            at = max(each.time - begin, 0) // self.interval
+            place = nodes.setdefault(each.node, len(nodes)), variables.setdefault(each.var_id, len(variables))
+            row = -1 if source is None else index[id(source)]
+            rows.append((at - last, *place, each.number, each.frame, each.asked, row, frame))
+            last = at
+        producers = [
+            ((at - begin) // self.interval, variables[var_id], nodes.setdefault(node, len(nodes)))
+            for at, var_id, node in self._changes
+            if var_id in variables
+        ]
+        return {
+            "begin_ns": begin,
+            "end_ns": self.end,
+            "interval_ns": self.interval,
+            "nodes": [node_id_text(node, representation) for node in nodes],
+            "variables": list(variables),
+            "changes": rows,
+            "producers": producers,
+        }

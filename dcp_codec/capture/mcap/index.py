@@ -1,0 +1,88 @@
+"""The index at the end of an MCAP file: the places of chunks and attachments, and copies of schemas and channels.
+
+It allows a reader to continue after damage. An index that does not match its checksum is not used.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+
+from dcp_codec.capture.checksum import crc32
+
+_RECORD_HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
+_MAGIC_LENGTH = 8
+_PLACE = struct.Struct("<QQ")  # offset and length of a record with its head
+#: Octets before the place of a chunk in a record of the index.
+_TIMES = 16
+#: Maximum length of an index that is held in memory, in octets.
+_MOST = 64 * 1024 * 1024
+
+
+class Place(NamedTuple):
+    """A record in the file; ``length`` has its head, too."""
+
+    offset: int
+    length: int
+
+
+class Index(NamedTuple):
+    """The records of the summary section that help to read a damaged file."""
+
+    chunks: tuple[Place, ...]
+    attachments: tuple[Place, ...]
+    descriptions: tuple[tuple[int, bytes], ...]
+    """Schemas and channels: opcode and content."""
+
+
+def read_index(path: str | Path) -> Index | None:
+    """Return the index of a regular file; None if it has none, or a damaged one."""
+    try:
+        with Path(path).open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            end = size - _MAGIC_LENGTH - _FOOTER.size
+            if end < _MAGIC_LENGTH:
+                return None
+            file.seek(end)
+            footer = file.read(_FOOTER.size)
+            start, _, expected = _FOOTER.unpack(footer)
+            head = end - _RECORD_HEAD.size
+            if not _MAGIC_LENGTH <= start <= head or head - start > _MOST:
+                return None
+            file.seek(start)
+            summary = file.read(end - start)
+    except (OSError, ValueError, struct.error):
+        return None
+    if expected and crc32(summary + footer[: _FOOTER.size - 4]) != expected:
+        return None
+    return _parsed(summary[: head - start])
+
+
+def _parsed(summary: bytes) -> Index:
+    chunks, attachments, descriptions = [], [], []
+    position = 0
+    while position + _RECORD_HEAD.size <= len(summary):
+        opcode, length = _RECORD_HEAD.unpack_from(summary, position)
+        content = summary[position + _RECORD_HEAD.size : position + _RECORD_HEAD.size + length]
+        position += _RECORD_HEAD.size + length
+        if len(content) < length:
+            break
+        if opcode == Opcode.CHUNK_INDEX and length >= _TIMES + _PLACE.size:
+            chunks.append(Place(*_PLACE.unpack_from(content, _TIMES)))
+        elif opcode == Opcode.ATTACHMENT_INDEX and length >= _PLACE.size:
+            attachments.append(Place(*_PLACE.unpack_from(content)))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            descriptions.append((opcode, content))
+    return Index(tuple(sorted(chunks)), tuple(sorted(attachments)), tuple(descriptions))
+
+
+def read_record(path: str | Path, place: Place) -> bytes:
+    """Return the content of a record, without its head; shorter if the file ends before."""
+    with Path(path).open("rb") as file:
+        file.seek(place.offset + _RECORD_HEAD.size)
+        return file.read(max(place.length - _RECORD_HEAD.size, 0))

@@ -1,0 +1,115 @@
+"""The two files of the generated codec."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+
+from dcp_spec.reasons import REASONS
+from dcp_spec.version import __version__
+
+from dcp_codec.codec import Codec
+from dcp_codec.export.shape import shape_of
+
+from .header import Structures, constants, declarations, heading
+from .names import constant
+from .reading import Reading
+from .scalars import Scalars
+from .writing import Writing
+
+_ENUMERATOR = re.compile(r"\bDCP_((?:UWB|DATA|BP|SRP|VD)_(?:[A-Z]+_)*\d+)\b")
+
+
+def codec_files(codec: Codec) -> dict[str, str]:
+    """Return the files of the codec of a profile by name: ``dcp_codec.h`` and ``dcp_codec.c``.
+
+    Raises ``ValueError`` if two members of a record would get the same name.
+    """
+    shape, scalars = shape_of(codec), Scalars()
+    reading = Reading(shape, scalars).all()
+    writing = Writing(shape, scalars).all()
+    first = heading(codec.profile, __version__)
+    body = f"{template('common.c')}\n{reading}\n{template('common_writer.c')}\n{writing}"
+    identifiers = sorted(set(_ENUMERATOR.findall(body)))
+    header = _HEADER.replace("@HEADING@", first)
+    header = header.replace("@COMMON@", _common(identifiers))
+    header = header.replace("@CONSTANTS@", "\n".join(constants(shape)))
+    header = header.replace("@STRUCTURES@", Structures(shape, codec.profile).text())
+    header = header.replace("@DECLARATIONS@", declarations(shape))
+    names = _names(identifiers)
+    source = f'{first}\n#include "dcp_codec.h"\n\n{names}\n{scalars.helpers()}\n{body}'
+    return {"dcp_codec.h": header, "dcp_codec.c": source.rstrip() + "\n"}
+
+
+def template(name: str) -> str:
+    """Return a text that all profiles share."""
+    return resources.files("dcp_codec.export.c").joinpath(name).read_text(encoding="utf-8")
+
+
+def _common(identifiers: list[str]) -> str:
+    width = max(len(constant(name)) for name in REASONS) + 1
+    reasons = [f"    DCP_{'OK,'.ljust(width)} /* no problem */"]
+    reasons += [f"    DCP_{(constant(name) + ',').ljust(width)} /* {meaning} */" for name, meaning in REASONS.items()]
+    # C++ before 11 and pedantic compilers want no comma after the last one.
+    reasons[-1] = reasons[-1].replace(",", " ", 1)
+    requirements = ["    DCP_REQUIREMENT_NONE", *(f"    DCP_{name}" for name in identifiers)]
+    text = template("common.h").replace("@REASONS@", "\n".join(reasons))
+    return text.replace("@REQUIREMENTS@", ",\n".join(requirements)).rstrip()
+
+
+def _names(identifiers: list[str]) -> str:
+    reasons = ["ok", *REASONS]
+    spelled = ["", *(name.replace("_", "-") for name in identifiers)]
+    return _NAMES.replace("@REASONS@", _quoted(reasons)).replace("@REQUIREMENTS@", _quoted(spelled))
+
+
+def _quoted(names: list[str]) -> str:
+    return ",\n".join(f'        "{name}"' for name in names)
+
+
+_HEADER = """@HEADING@
+#ifndef DCP_CODEC_H
+#define DCP_CODEC_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+@COMMON@
+
+@CONSTANTS@
+
+@STRUCTURES@
+
+@DECLARATIONS@
+
+/* The names of a reason and of a requirement in the test kit: "zero-length", "BP-RX-03" ("": none). */
+const char *dcp_reason_name(dcp_reason_t reason);
+const char *dcp_requirement_name(dcp_requirement_t requirement);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+"""
+_NAMES = """const char *dcp_reason_name(dcp_reason_t reason)
+{
+    static const char *const names[] = {
+@REASONS@
+    };
+    return (size_t)reason < sizeof names / sizeof *names ? names[reason] : "";
+}
+
+const char *dcp_requirement_name(dcp_requirement_t requirement)
+{
+    static const char *const names[] = {
+@REQUIREMENTS@
+    };
+    return (size_t)requirement < sizeof names / sizeof *names ? names[requirement] : "";
+}
+"""

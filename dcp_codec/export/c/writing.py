@@ -1,0 +1,324 @@
+"""The functions of the generated C that write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from dcp_codec.export.shape import Record, Run, Shape
+from dcp_codec.plan.measures import largest, longest
+from dcp_codec.plan.tree import Scalar, Text
+
+from .names import access, stem
+from .scalars import Scalars, pointer
+
+
+class Writing:
+    """Makes the writing functions of a shape. ``scalars`` collects the helpers."""
+
+    def __init__(self, shape: Shape, scalars: Scalars) -> None:
+        self.shape = shape
+        self.scalars = scalars
+        self.lines: list[str] = []
+
+    def add(self, *lines: str) -> None:
+        self.lines += lines
+
+    def all(self) -> str:
+        """Return all writing functions."""
+        shape = self.shape
+        if shape.header is not None:
+            self.record(shape.header, {"numPayloads": "num_payloads", "length": "beacon_length"})
+        self.record(shape.payload, {shape.content.length: "payload_length"})
+        if shape.srp is not None:
+            self.record(shape.srp)
+        listed = {shape.list_region.length: "list_length"} if shape.list_region is not None else {}
+        self.record(shape.container, {"icNumRecords": "num_records", **listed})
+        for record in shape.all_records():
+            self.record(record)
+        self._beacon()
+        self._payload()
+        self._contents()
+        self._container()
+        return "\n".join(self.lines)
+
+    # -- records ----------------------------------------------------------------------------------------------
+
+    def record(self, record: Record, marks: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Emit the function that writes a record. ``marks``: derived fields -> the writer's member with the place."""
+        name, runs = stem(record.group), list(record.runs())
+        texts = [run.text for run in runs if run.text is not None]
+        self.add(
+            f"static inline bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
+            "{",
+            "    uint8_t *p = w->octets + w->at;",
+            "    size_t left = w->size - w->at;",
+        )
+        if any(isinstance(text.node, Text) and text.node.terminated for text in texts):
+            self.add("    size_t i;")
+        for part in record.parts():
+            node = part.node
+            if (
+                isinstance(node, Scalar)
+                and node.stored
+                and (wrong := self.scalars.range_check(node, access(part.path)))
+            ):
+                self.add(f"    if ({wrong})", "        return refuse(w, DCP_FAULT_OUT_OF_RANGE);")
+        for text in texts:
+            assert isinstance(text.node, Text)
+            value, most = access(text.path), longest(text.node)
+            if most is not None:
+                self.add(*_at_most(f"{value}.size", most - text.node.terminated, "refuse(w, DCP_FAULT_TOO_LONG)"))
+            if text.node.terminated:
+                self.add(
+                    f"    for (i = 0; i < {value}.size; i++)",
+                    f"        if ({value}.data[i] == 0u)",
+                    "            return refuse(w, DCP_FAULT_NUL);",
+                )
+        terminators = sum(isinstance(text.node, Text) and text.node.terminated for text in texts)
+        self.add(
+            f"    if (left < {sum(run.size for run in runs) + terminators}u)",
+            "        return refuse(w, DCP_FAULT_NO_ROOM);",
+        )
+        for number, text in enumerate(texts):
+            before = (
+                f"{sum(run.size for run in runs) + terminators}u"
+                if number == 0
+                else f"{access(texts[number - 1].path)}.size"
+            )
+            last = f"{access(text.path)}.size"
+            self.add(
+                f"    left -= {before};", f"    if (left < {last})", "        return refuse(w, DCP_FAULT_NO_ROOM);"
+            )
+        for run in runs:
+            self._run(run, marks)
+        self.add("    w->at = (size_t)(p - w->octets);", "    return true;", "}", "")
+
+    def _run(self, run: Run, marks: Mapping[str, str]) -> None:
+        """Emit the writing of scalars, and of the text after them."""
+        place = 0
+        for part in run.scalars:
+            node = part.node
+            assert isinstance(node, Scalar)
+            if node.kind == "bytes":
+                self.add(f"    copy({pointer(place)}, {access(part.path)}, {node.size}u);")
+            elif run.text is not None and isinstance(run.text.node, Text) and part.path[:-1] == run.text.path:
+                plus = " + 1u" if run.text.node.terminated else ""
+                size = f"({_unsigned(node)})({access(run.text.path)}.size{plus})"
+                self.add(f"    {self.scalars.write(node, size, place)}")
+            elif node.derived is not None:
+                offset = f" + {place}" if place else ""
+                self.add(f"    w->{marks[part.path[-1]]} = (size_t)(p{offset} - w->octets);")
+                self.add(f"    {self.scalars.write(node, '0', place)}")
+            else:
+                value = access(part.path)
+                if node.rule is not None and node.rule.value is not None:
+                    value = f"0x{node.rule.value:x}u"
+                elif node.signed:
+                    value = f"({_unsigned(node)}){value}"
+                self.add(f"    {self.scalars.write(node, value, place)}")
+            place += node.size
+        if place:
+            self.add(f"    p += {place};")
+        if run.text is not None:
+            assert isinstance(run.text.node, Text)
+            value = access(run.text.path)
+            self.add(f"    copy(p, {value}.data, {value}.size);", f"    p += {value}.size;")
+            if run.text.node.terminated:
+                self.add("    *p++ = 0;")
+
+    # -- beacons and payloads -------------------------------------------------------------------------------------
+
+    def _set(self, record: Record, name: str, place: str, number: str) -> None:
+        """Emit the setting of a derived field, unless the layout has none."""
+        part = self.shape.scalar_or_none(record, name)
+        if part is None or not isinstance(part.node, Scalar) or part.node.derived is None:
+            return
+        self.add(f"    {self.scalars.store(part.node)}(w->octets + w->{place}, ({_unsigned(part.node)})({number}));")
+
+    def _limit(self, record: Record, name: str, number: str, fault: str) -> None:
+        """Emit the check that a number can be expressed by a derived field."""
+        part = self.shape.scalar_or_none(record, name)
+        if part is None or not isinstance(part.node, Scalar) or part.node.derived is None:
+            return
+        node = part.node
+        if node.rule is not None and name != "numPayloads" and name != "icNumRecords":
+            self.add(f"    if ({number} == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
+        self.add(*_at_most(number, largest(node), f"refuse(w, {fault})"))
+
+    def _beacon(self) -> None:
+        shape = self.shape
+        header = "" if shape.header is None else f", const dcp_{stem(shape.header.group)}_t *bp"
+        self.add(
+            f"bool dcp_begin_beacon(dcp_writer_t *w{header})",
+            "{",
+            "    const size_t at = w->at;",
+            "    if (w->beacon != DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+        )
+        if shape.header is not None:
+            self.add(f"    if (!put_{stem(shape.header.group)}(w, bp))", "        return false;")
+        self.add(
+            "    w->beacon = at;",
+            "    w->payloads = w->at;",
+            "    w->payloads_written = 0;",
+            "    return true;",
+            "}",
+            "",
+        )
+        self.add(
+            "bool dcp_end_beacon(dcp_writer_t *w)",
+            "{",
+            "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+        )
+        if shape.header is not None or shape.payloads.nonempty:
+            self.add("    if (w->payloads_written == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
+        if shape.header is not None:
+            self._limit(shape.header, "numPayloads", "w->payloads_written", "DCP_FAULT_TOO_MANY")
+            self._limit(shape.header, "length", "w->at - w->payloads", "DCP_FAULT_TOO_LONG")
+            self._set(shape.header, "numPayloads", "num_payloads", "w->payloads_written")
+            self._set(shape.header, "length", "beacon_length", "w->at - w->payloads")
+        self.add("    w->beacon = DCP_NOWHERE;", "    return true;", "}", "")
+
+    def _payload(self) -> None:
+        shape, fill = self.shape, self.shape.fill
+        self.add(
+            "bool dcp_begin_payload(dcp_writer_t *w, const dcp_payload_t *payload)",
+            "{",
+            "    const size_t at = w->at;",
+            "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+            "    if (!put_payload(w, payload))",
+            "        return false;",
+            "    w->payload = at;",
+            "    w->content = w->at;",
+            "    return true;",
+            "}",
+            "",
+            "bool dcp_end_payload(dcp_writer_t *w, const dcp_payload_t *payload)",
+            "{",
+            "    const size_t size = w->at - w->content;",
+            "    if (w->payload == DCP_NOWHERE || w->container != DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+        )
+        self._limit(shape.payload, shape.content.length, "size", "DCP_FAULT_TOO_LONG")
+        if fill is not None:
+            self.add(
+                f"    if (size > {fill.total}u",
+                f"        || (payload->area.size != 0u && payload->area.size != {fill.total}u - size))",
+                "        return refuse(w, DCP_FAULT_TOO_LONG);",
+                f"    if (w->size - w->at < {fill.total}u - size)",
+                "        return refuse(w, DCP_FAULT_NO_ROOM);",
+                "    copy(w->octets + w->at, payload->area.size != 0u ? payload->area.data : NULL,",
+                f"         {fill.total}u - size);",
+                f"    w->at += {fill.total}u - size;",
+            )
+        else:
+            self.add("    (void)payload;")
+        self._set(shape.payload, shape.content.length, "payload_length", "size")
+        self.add("    w->payload = DCP_NOWHERE;", "    w->payloads_written += 1u;", "    return true;", "}", "")
+
+    def _contents(self) -> None:
+        self.add(
+            "bool dcp_add_octets(dcp_writer_t *w, const uint8_t *octets, size_t size)",
+            "{",
+            "    dcp_octets_t all;",
+            "    all.data = octets;",
+            "    all.size = size;",
+            "    return put_octets(w, all);",
+            "}",
+            "",
+        )
+        if self.shape.srp is not None:
+            name = stem(self.shape.srp.group)
+            self.add(
+                f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *report)",
+                "{",
+                f"    return put_{name}(w, report);",
+                "}",
+                "",
+            )
+
+    def _container(self) -> None:
+        shape = self.shape
+        self.add(
+            "bool dcp_begin_container(dcp_writer_t *w, const dcp_container_t *container)",
+            "{",
+            "    const size_t at = w->at;",
+            "    if (w->container != DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+            "    switch (container->ic_type) {",
+            *(f"    case {number}u:" for number in shape.records),
+            "        break;",
+            "    default:",
+            "        return refuse(w, DCP_FAULT_UNKNOWN_TYPE);",
+            "    }",
+            "    if (!put_container(w, container))",
+            "        return false;",
+            "    w->container = at;",
+            "    w->records = w->at;",
+            "    w->records_written = 0;",
+            "    w->ic_type = container->ic_type;",
+            "    return true;",
+            "}",
+            "",
+            "/* End the container; one without records is removed. */",
+            "bool dcp_end_container(dcp_writer_t *w)",
+            "{",
+            "    const size_t container = w->container;",
+            "    if (container == DCP_NOWHERE)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+            "    w->container = DCP_NOWHERE;",
+            "    if (w->records_written == 0u) {",
+            "        w->at = container;",
+            "        return refuse(w, DCP_FAULT_EMPTY);",
+            "    }",
+        )
+        if shape.list_region is not None:
+            self._limit(shape.container, shape.list_region.length, "w->at - w->records", "DCP_FAULT_TOO_LONG")
+            self._set(shape.container, shape.list_region.length, "list_length", "w->at - w->records")
+        self._set(shape.container, "icNumRecords", "num_records", "w->records_written")
+        self.add("    return true;", "}", "")
+        count = shape.scalar_or_none(shape.container, "icNumRecords")
+        assert count is not None
+        assert isinstance(count.node, Scalar)
+        self.add(
+            "/* Take note of a record that was put into the open container of its type. */",
+            "static bool fits(dcp_writer_t *w, uint64_t ic_type)",
+            "{",
+            "    if (w->container == DCP_NOWHERE || w->ic_type != ic_type)",
+            "        return refuse(w, DCP_FAULT_ORDER);",
+            f"    if (w->records_written == {largest(count.node)}u)",
+            "        return refuse(w, DCP_FAULT_TOO_MANY);",
+            "    return true;",
+            "}",
+            "",
+        )
+        for number, record in sorted(shape.records.items()):
+            name = stem(record.group)
+            self.add(
+                f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *record)",
+                "{",
+                f"    if (!fits(w, {number}u) || !put_{name}(w, record))",
+                "        return false;",
+                "    w->records_written += 1u;",
+                "    return true;",
+                "}",
+                "",
+            )
+
+
+def _at_most(number: str, most: int, otherwise: str) -> list[str]:
+    """Return the check that a size or count is at most ``most``, without a warning where it always is."""
+    check = [f"    if ({number} > {most}u)", f"        return {otherwise};"]
+    if most < 0xFFFF_FFFF:
+        return check
+    if most >= 1 << 64:
+        return []
+    check[0] = f"    if ({number} > UINT64_C({most}))"
+    return [f"#if SIZE_MAX > {most}u", *check, "#endif"] if most < (1 << 64) - 1 else []
+
+
+def _unsigned(scalar: Scalar) -> str:
+    return f"uint{next(bits for bits in (8, 16, 32, 64) if scalar.size * 8 <= bits)}_t"

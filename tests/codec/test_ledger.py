@@ -1,0 +1,151 @@
+"""The ledger: the content of the databases of nodes, derived from their beacons."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dcp_codec import (
+    Beacon,
+    BPHeader,
+    Container,
+    Payload,
+    VarCreate,
+    VarDelete,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+    get_codec,
+)  # fmt: skip
+from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
+from dcp_codec.capture import open_capture
+from dcp_codec.framing.locate import OtherTraffic, locate
+
+from ..odd_profiles import codec_of
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+ONE, TWO = b"\x02\0\0\0\0\1", b"\x02\0\0\0\0\2"
+
+
+def saying(*records: object) -> Beacon:
+    return Beacon(BPHeader(ONE, 0, 0), (Payload(2, tuple(Container(1, (each,)) for each in records)),))
+
+
+def created(number: int, time: int = 5, node: bytes = ONE) -> VarCreate:
+    return VarCreate(VarSpec(7, node, 1, b"x", time, 0), VarUpdate(7, number, b"v"))
+
+
+@pytest.mark.parametrize(
+    ("record", "number"),
+    [
+        (created(3), 3),
+        (VarUpdate(7, 4, b"v"), 4),
+        (VarSumm(7, 5), 5),
+        (VarReqUpdate(7, 6), 6),
+        (VarDelete(7), DELETED),
+        (VarReqCreate(7), UNKNOWN),
+    ],
+)
+def test_every_record_shows_a_part_of_its_senders_database(record, number):
+    ledger = Ledger()
+    (entry,) = ledger.feed(1, 10, ONE, saying(record))
+    assert (entry.node, entry.var_id, entry.number) == (ONE, 7, number)
+    assert ledger.held(ONE, 7) is entry
+    assert ledger.held(TWO, 7) is None
+
+
+def test_records_with_fields_of_a_profile(tmp_path):
+    """Records of containers that the profile adds show nothing."""
+    types = codec_of("odd-own", tmp_path).types
+    delete, request = types["VarDelete"](7), types["VarReqCreate"](8)
+    begun = Ledger().feed(1, 10, ONE, saying(delete, request, types["Ping"](ONE, 1, b"")))
+    assert [(each.var_id, each.number) for each in begun] == [(7, DELETED), (8, UNKNOWN)]
+
+
+def test_repeated_records_extend_a_state():
+    ledger = Ledger()
+    (first,) = ledger.feed(1, 10, ONE, saying(created(0)))
+    assert ledger.feed(2, 20, ONE, saying(VarSumm(7, 0), VarUpdate(7, 0, b"v"))) == []
+    (second,) = ledger.feed(3, 30, ONE, saying(VarSumm(7, 1)))
+    assert (first.number, first.creation) == (0, (ONE, 5))
+    assert (first.frame, first.last, first.time, first.until) == (1, 2, 10, 20)
+    assert (first.carried, first.values) == ([(1, 10), (2, 20)], 2)
+    assert (second.number, second.creation, second.frame, second.carried) == (1, (ONE, 5), 3, [])
+    # Another creation with the same number is another state.
+    assert len(ledger.feed(4, 40, ONE, saying(created(1, time=6)))) == 1
+    assert [each.frame for each in ledger.entries(7, ONE)] == [1, 3, 4]
+
+
+def test_a_summary_after_a_request_for_a_held_variable_begins_a_state():
+    ledger = Ledger()
+    for frame, record in enumerate((created(3), VarSumm(7, 3), VarReqCreate(7), VarSumm(7, 3), VarSumm(7, 3)), 1):
+        ledger.feed(frame, frame, ONE, saying(record))
+    states = [(each.number, each.frame, each.last) for each in ledger.entries()]
+    assert states == [(3, 1, 2), (UNKNOWN, 3, 3), (3, 4, 5)]
+
+
+def test_requests_are_counted():
+    ledger = Ledger()
+    ledger.feed(1, 10, ONE, saying(VarSumm(7, 3)))
+    for frame in range(2, 6):
+        ledger.feed(frame, 10 * frame, ONE, saying(VarSumm(7, 3), VarReqUpdate(7, 3)))
+    (entry,) = ledger.entries()
+    assert (entry.asked, entry.last_asked, entry.last) == (4, (5, 50), 5)
+
+
+def test_memory_is_bounded():
+    ledger = Ledger(pairs=2)
+    assert len(ledger.feed(1, 10, ONE, saying(*(VarSumm(each, 0) for each in range(9))))) == 2
+    assert len(ledger.feed(2, 20, ONE, saying(VarSumm(1, 1)))) == 1
+
+
+def test_states_can_be_written_as_json():
+    ledger = Ledger()
+    ledger.feed(1, 1_000_000_000, ONE, saying(created(0)))
+    ledger.feed(2, 2_000_000_000, TWO, saying(VarSumm(7, 0)))
+    ledger.feed(3, 3_000_000_000, ONE, saying(VarUpdate(7, 1, b"v")))
+    told = ledger.as_json("mac")
+    assert [row[:4] for row in told["changes"]] == [(0, 0, 0, 0), (1000, 1, 0, 0), (1000, 0, 0, 1)]
+    assert told["producers"] == [(0, 0, 0)]
+    assert json.loads(json.dumps(told))["nodes"] == ["02:00:00:00:00:01", "02:00:00:00:00:02"]
+
+
+def test_a_long_ledger_becomes_coarser_and_ends_the_same():
+    exact, coarse = Ledger(), Ledger(entries=64)
+    for number in range(1000):
+        for ledger in (exact, coarse):
+            ledger.feed(number, number * 10_000_000, (ONE, TWO)[number % 2], saying(VarSumm(7, number // 4 % 256)))
+    assert exact.interval == 1_000_000
+    assert coarse.interval > exact.interval
+    assert len(coarse.entries()) <= 66
+    for node in (ONE, TWO):
+        one, other = exact.held(node, 7), coarse.held(node, 7)
+        assert one is not None
+        assert other is not None
+        assert (one.number, one.frame, one.until) == (other.number, other.frame, other.until)
+
+
+def test_a_recording_ends_with_the_state_of_its_last_summaries():
+    codec, ledger = get_codec("cpp-2.0"), Ledger()
+    last: dict[tuple[str, int], int] = {}
+    with open_capture(CAPTURES / "b_crud.mcap") as reader:
+        for frame in reader:
+            framing = locate(frame.data, codec.profile.link)
+            assert not isinstance(framing, OtherTraffic)
+            beacon = codec.decode(frame.data[framing.start : framing.end])
+            assert beacon.bp is not None
+            ledger.feed(frame.number, frame.time_ns, beacon.bp.sender_id, beacon)
+            for payload in beacon.payloads:
+                for container in payload.vardis or ():
+                    for record in container.records:
+                        if isinstance(record, VarSumm):
+                            last[beacon.bp.sender_id.hex(":"), record.var_id] = record.seqno
+    held = {(each.node.hex(":"), each.var_id): each.number for each in ledger.entries()}
+    assert last
+    assert {key: number for key, number in held.items() if key in last and number >= 0} == {
+        key: number for key, number in last.items() if held[key] >= 0
+    }

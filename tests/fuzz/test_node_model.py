@@ -1,0 +1,123 @@
+"""The model of a node, and the search for counterexamples, in virtual time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from dcp_conformance.fuzz.findings.artefact import load, save
+from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
+from dcp_conformance.stateful.corpus import corpus
+from dcp_conformance.stateful.driver import Counterexample, Driver
+from dcp_conformance.stateful.search import search
+from dcp_conformance.stateful.steps import Beacon, Call, Records, Report, Step, Wait
+from dcp_conformance.stateful.virtual import VirtualExecutor
+
+from dcp_codec.codec import get_codec
+from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.config import NodeConfig
+
+CONFIG = reference_config(get_codec("dcp-2.0"))
+DROPTAIL = "BP_QMODE_QUEUE_DROPTAIL"
+
+
+def judged(*steps: Step, make: MakeNode = plain_node, config: NodeConfig = CONFIG) -> tuple[str, ...]:
+    """Return the requirements that a counterexample names; none if the model allows everything."""
+    try:
+        Driver(VirtualExecutor(config, make=make)).run(steps)
+    except Counterexample as found:
+        return found.finding.requirements
+    return ()
+
+
+def registering(entries: int, size: int = 20, mode: str = DROPTAIL) -> Call:
+    """Return a registration of the first protocol."""
+    params: dict[str, Any] = {"protId": 0, "name": 4, "maxPayloadSize": size, "queueingMode": mode}
+    return Call("BP-RegisterProtocol", params | {"maxEntries": entries, "allowMultiplePayloads": False})
+
+
+def submitting(times: int, size: int = 4) -> Call:
+    """Return submissions to the first protocol."""
+    return Call("BP-TransmitPayload", {"protId": 0, "payload": size}, times)
+
+
+def with_bp(**methods: Any) -> MakeNode:
+    """Return a constructor of nodes whose BP has other methods."""
+
+    def make(config: NodeConfig, rng: Any, now: int, wall: int) -> Any:
+        node = plain_node(config, rng, now, wall)
+        node.bp.__class__ = type("Changed", (BeaconingProtocol,), methods)
+        return node
+
+    return make
+
+
+OFF, ON = Call("BP-MGMT-Deactivate"), Call("BP-MGMT-Activate")
+
+
+@pytest.mark.req("BP-CLR-02")
+def test_a_clear_without_effect_while_inactive_is_named() -> None:
+    def clear_buffer(self: Any, prot_id: int) -> Any:
+        return BeaconingProtocol.clear_buffer(self, prot_id) if self._active else self.deactivate()
+
+    steps = (registering(3), OFF, submitting(2), Call("BP-ClearBuffer", {"protId": 0}))
+    assert judged(*steps) == ()
+    found = judged(*steps, make=with_bp(clear_buffer=clear_buffer))
+    assert "BP-CLR-02" in found
+
+
+@pytest.mark.req("BP-TXP-02")
+def test_a_length_that_is_not_checked_is_named() -> None:
+    def transmit_payload(self: Any, prot_id: int, payload: bytes, *, now: int) -> Any:
+        return BeaconingProtocol.transmit_payload(self, prot_id, payload[:20], now=now)
+
+    found = judged(registering(3), submitting(1, 21), make=with_bp(transmit_payload=transmit_payload))
+    assert found[0] == "BP-TXP-02"
+
+
+@pytest.mark.req("SRP-RUN-02")
+def test_the_reference_node_keeps_to_the_model_when_a_timeout_is_lowered() -> None:
+    lowered = Call("SRP-SetParameter", {"name": "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", "value": 1000})
+    assert judged(Beacon(0, (Report(0, 5),)), lowered, Wait(2), Wait(25)) == ()
+
+
+@pytest.mark.req("VD-PAY-02")
+def test_the_reference_node_keeps_to_the_model_with_many_unknown_variables() -> None:
+    assert judged(Beacon(0, (Records("summary", 6, 200),)), Wait(5)) == ()
+
+
+def test_a_search_is_the_same_for_the_same_seed() -> None:
+    first, second = (search(lambda: VirtualExecutor(CONFIG), sequences=4, steps=6, seed=3) for _ in range(2))
+    assert first.counterexample is None
+    assert first.reached == second.reached
+
+
+def test_a_counterexample_is_short_and_its_file_repeats_it(tmp_path: Any) -> None:
+    def query_number_buffered(self: Any, prot_id: int) -> Any:
+        confirm = BeaconingProtocol.query_number_buffered(self, prot_id)
+        return type(confirm)(confirm.status, 7) if confirm.number else confirm
+
+    made = with_bp(query_number_buffered=query_number_buffered)
+    found = search(lambda: VirtualExecutor(CONFIG, make=made), sequences=200, steps=8, seed=1)
+    assert found.counterexample is not None
+    assert len(found.counterexample.steps) <= 4
+    artefact = artefact_of(found.counterexample, "dcp-2.0", name="x", options="", seed=1, directory=tmp_path)
+    again = load(save(artefact, tmp_path))
+    assert judged(*steps_of(again), make=made) == found.counterexample.finding.requirements
+
+
+def test_the_sequences_of_a_run_reach_every_theme() -> None:
+    themes = {each.theme for each in corpus().sequences}
+    assert {"registrations", "inactivity", "services", "sizes"} <= themes
+    assert all(each.periods <= 60 for each in corpus().sequences)
+
+
+def test_a_dead_node_is_named() -> None:
+    def handle_beacon(self: Any, octets: bytes, **times: int) -> None:
+        del self, octets, times
+        raise RuntimeError("dead")
+
+    found = judged(Beacon(0, (Records("summary", 0),)), make=with_bp(handle_beacon=handle_beacon))
+    assert "BP-RX-16" in found
+    assert InProcess(CONFIG).alive()
