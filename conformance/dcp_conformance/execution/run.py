@@ -66,6 +66,7 @@ class ConformanceRun:
         expected: Path | None = None,
         repeat: int = 1,
         until_fail: bool = False,
+        max_fails: int = 0,
         command: str = "",
         artefacts: Path | None = None,
         side_by_side: int = 0,
@@ -76,7 +77,7 @@ class ConformanceRun:
 
         ``on_start`` is called with the number of executions, ``on_result`` with each case, its result, and why the
         result is unexpected (empty if it is expected). ``expected`` is a file of expected results. ``repeat`` is the
-        number of repetitions of all cases; ``until_fail`` ends the run at the first fail. ``artefacts`` is a folder of
+        number of repetitions of all cases; ``until_fail`` ends the run at the first fail, ``max_fails`` after so many (0: never). ``artefacts`` is a folder of
         findings of the fuzzer, which become cases. ``side_by_side`` is the maximum number of concurrent cases; 0 or 1
         executes them in succession.
         """
@@ -102,7 +103,8 @@ class ConformanceRun:
             else ExpectedResults.load(expected, [*self.cases.values(), *self._invariants.values()])
         )
         self.repeat = repeat
-        self.until_fail = until_fail
+        self.max_fails = 1 if until_fail else max_fails
+        self.until_fail = bool(self.max_fails)
         self.side_by_side = side_by_side
         self.command = command
         self.repeated_alone: dict[str, str] = {}
@@ -181,7 +183,7 @@ class ConformanceRun:
             if not self.open():
                 return
             rest = planned
-            if self.side_by_side > 1 and self.repeat == 1 and not self.until_fail:
+            if self.side_by_side > 1 and self.repeat == 1 and self.max_fails != 1:
                 rest = self._run_side_by_side(planned)
             for case in rest:
                 result, _ = self.run_case(case)
@@ -333,8 +335,12 @@ class ConformanceRun:
             self.on_revised(result)
 
     def stops(self, result: CaseResult) -> bool:
-        """Return whether the run ends after this result, because of ``until_fail``."""
-        self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
+        """Return whether the run ends after this result, because of ``max_fails``."""
+        if self.max_fails and not self._stopped and result.verdict in (Verdict.FAIL, Verdict.ERROR):
+            fails = len({each.id for each in self.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)})
+            self._stopped = fails >= self.max_fails
+            if self._stopped and self.max_fails > 1:
+                self._notes.append(f"ended after {fails} failed cases (--max-fails)")
         return self._stopped
 
     def interrupt(self, done: int, planned: int) -> None:
