@@ -7,7 +7,6 @@ import ctypes
 import fcntl
 import os
 import re
-import re
 import signal
 import subprocess
 import tempfile
