@@ -122,9 +122,9 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
     time = context.time
     edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
-        "One row for each variable and node. Light blue: the node sends the last sequence number of the producer. Dark "
-        "blue: a newer one is on its way. Red and hatched: the producer left the node's number more than 2 s (and 10 "
-        "beacons of the node) before. White: it sends no record about the variable. Each interval is "
+        "One row for each variable and node. As the producer: the node sends its last sequence number. On its way: the "
+        "producer has a newer one, for a short time. Stale (red and hatched): the producer left the node's number more "
+        "than 2 s, and 10 beacons of the node, before. Blank: it sends no record about the variable. Each interval is "
         f"{seconds_text(float(edges[1]))} long."
     )
     names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.behind else ''}" for pair in rows]

@@ -28,6 +28,7 @@ from dcp_conformance.reporting.overview import (
     diagnosed,
     observed_readings,
     sentence,
+    stated,
     undecided_deaths,
 )
 
@@ -198,7 +199,7 @@ def print_findings(run: RunResult) -> None:
         _print_errors(out, cases)
         printed.update(map(id, cases))
     for case in run.cases:
-        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and case.counted and id(case) not in printed:
             _print_finding(out, case)
 
 
@@ -207,6 +208,8 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
     if run.diagnosis is None or not (heading := diagnosed(run)):
         return
     out.print(f"\n[bold]{data(heading)}[/]", soft_wrap=True)
+    if (said := stated(run)) and run.diagnosis.stated is not None:
+        out.print(f"  {data(said)}  \\[{data(', '.join(run.diagnosis.stated.requirements))}]", soft_wrap=True)
     for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
         out.print(
             f"  {number}. {data(sentence(fault))}  \\[{data(', '.join(fault.requirements))}]",

@@ -263,6 +263,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     upper = None
     if options.ut is not None:
         from dcp_conformance.upper_tester.opening import open_upper
+        from dcp_conformance.upper_tester.stream import StreamUpperTester
 
         try:
             upper = open_upper(options.ut, _patience(pics), starting=process is not None)
@@ -273,6 +274,8 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             raise
         if process is not None:
             process.after_restart.append(upper.reconnect)
+            if isinstance(upper, StreamUpperTester):
+                upper.gone = lambda: process.alive() is False
     return _session(options, codec, pics, lower, upper), control, []
 
 

@@ -13,7 +13,7 @@ import msgspec
 
 from .steps import Call, Step, Wait
 
-#: Services after which an implementation differs for everybody.
+#: A parameter on which the times of the tester depend.
 _PERIOD = "BPPAR_BEACON_PERIOD"
 #: Most variables or neighbours at once: an implementation may have room for few.
 _TOGETHER = 6
