@@ -210,6 +210,10 @@ class SutProperties:
             return ""
         return f"{name} was taken to be {self.parameter(name)}, as {_usual(name)}: state its value (pixit.{pixit})"
 
+    def is_assumed(self, name: str) -> bool:
+        """Return whether neither the implementation nor the PIXIT has the value of a parameter."""
+        return bool(self._assumed(name))
+
     def rep_cnt(self, wanted: int) -> int:
         """Return a repetition count that the implementation accepts: the wanted one, or the maximum.
 
