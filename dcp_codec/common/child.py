@@ -7,7 +7,6 @@ import ctypes
 import fcntl
 import os
 import re
-import re
 import signal
 import subprocess
 import tempfile
@@ -22,8 +21,6 @@ from .printable import printable
 
 #: Lines at the end of the output that are quoted, octets of each, and octets of the file that are read for that.
 _LINES, _LINE, _TAIL = 10, 500, 64 * 1024
-#: The first line of a sanitizer's report, which is longer than what is quoted of its end.
-_REPORT = re.compile(rb"ERROR: \w+Sanitizer|runtime error:")
 #: Octets of output that a temporary file keeps; then only the last ones remain.
 _MOST, _KEPT = 1024 * 1024, 64 * 1024
 #: Maximum seconds from SIGKILL to the end of a process group, and seconds between two checks.
@@ -146,24 +143,18 @@ class LastLines:
 
     def __init__(self) -> None:
         self._lines: deque[bytes] = deque(maxlen=_LINES)
-        self._report = b""
-        """The first line of a sanitizer's report."""
         self._rest = b""
 
     def take(self, data: bytes) -> None:
         """Add more output."""
         *lines, rest = (self._rest + data).split(b"\n")
-        self._report = self._report or next((line[:_LINE] for line in lines if _REPORT.search(line)), b"")
         self._lines.extend(line[:_LINE] for line in lines[-_LINES:] if line.strip())
         self._rest = rest[:_LINE]
 
     def shown(self) -> str:
         """Return the last lines of output, as the end of an error message."""
         lines = [*self._lines, self._rest] if self._rest.strip() else [*self._lines]
-        lines = lines[-_LINES:]
-        if self._report and self._report not in lines:
-            lines.insert(0, self._report)
-        text = b"\n".join(lines).decode(errors="replace").strip()
+        text = b"\n".join(lines[-_LINES:]).decode(errors="replace").strip()
         return f"; its output: {printable(text)}" if text else "; it wrote nothing"
 
 

@@ -77,9 +77,9 @@ class ConformanceRun:
 
         ``on_start`` is called with the number of executions, ``on_result`` with each case, its result, and why the
         result is unexpected (empty if it is expected). ``expected`` is a file of expected results. ``repeat`` is the
-        number of repetitions of all cases; ``until_fail`` ends the run at the first fail, ``max_fails`` after so many (0: never). ``artefacts`` is a folder of
-        findings of the fuzzer, which become cases. ``side_by_side`` is the maximum number of concurrent cases; 0 or 1
-        executes them in succession.
+        number of repetitions of all cases. ``until_fail`` ends the run at the first fail, ``max_fails`` after so many
+        (0: never). ``artefacts`` is a folder of findings of the fuzzer, which become cases. ``side_by_side`` is the
+        maximum number of concurrent cases; 0 or 1 executes them in succession.
         """
         self.options = target
         self.cases = all_cases()
@@ -257,6 +257,9 @@ class ConformanceRun:
                 runner.life.await_start(self.cases[SANITY], self.on_wait)
             if self.options.foreign and isinstance(runner.session.upper, Checked):
                 runner.examine()
+            if self.options.foreign:
+                for text in runner.contradicted_claims(self.cases[SANITY]):
+                    self.on_wait(text)
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)

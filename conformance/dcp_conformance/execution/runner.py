@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import msgspec
@@ -13,6 +13,7 @@ from dcp_spec.parameters import parameters
 
 from dcp_conformance.errors import ContractError, UpperTesterError
 from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
+from dcp_conformance.interconnection.claims import contradictions
 from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not
@@ -170,6 +171,17 @@ class Runner:
             assert self.control is not None
             self.control.restart()
         self._reset()
+
+    def contradicted_claims(self, case: Case) -> list[str]:
+        """Listen for some beacons, and return the claims of the PICS that they or the upper tester contradict."""
+        session = self.session
+        bench = Bench(session, case)
+        with suppress(UpperTesterError):
+            bench.beacons(5, 8)
+        about = session.upper.about if session.upper is not None else {}
+        found = list(contradictions(session.pics, bench, session.parameters, about))
+        self.remarks += found
+        return found
 
     def about(self) -> Sut:
         """Return the description of the implementation for the results."""

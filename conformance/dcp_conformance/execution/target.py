@@ -304,6 +304,8 @@ def require_answer(runner: Runner, say: Callable[[str], None]) -> None:
 
     session, case = runner.session, next(cases_of(sanity))
     why = runner.life.await_start(case, say) if runner.control is not None else ""
+    for text in runner.contradicted_claims(case):
+        say(text)
     bench = Bench(session, case)
     if not bench.beacons(1, 5) and not bench.probes.probe(10) and not bench.heard:
         why = why or "neither its beacons nor reactions arrive there"

@@ -174,6 +174,11 @@ class NodeMachine(RuleBasedStateMachine):
         """Return whether the upper tester has a method."""
         return method in self.executor.methods
 
+    def can_switch(self, protocol: str) -> bool:
+        """Return whether the sequence may deactivate a protocol, and can activate it again."""
+        both = self.has(f"{protocol}-MGMT-Deactivate") and self.has(f"{protocol}-MGMT-Activate")
+        return both and self.executor.alone
+
     def registrations(self) -> dict[int, Registration]:
         """Return the registrations by the numbers of the sequence."""
         clients = self.driver.model.bp.clients
@@ -248,7 +253,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Clear the buffer of a client protocol."""
         self.take(Call("BP-ClearBuffer", {"protId": self._one_of(which)}))
 
-    @action(lambda self: self.has("BP-MGMT-Deactivate") and self.executor.alone)
+    @action(lambda self: self.can_switch("BP"))
     def switch_bp(self) -> None:
         """Deactivate BP, or activate it again."""
         on = self.driver.model.bp.active
@@ -394,7 +399,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Delete a variable."""
         self.take(Call("RTDB-Delete", {"varId": number}))
 
-    @action(lambda self: self.has("VD-MGMT-Deactivate") and self.executor.alone)
+    @action(lambda self: self.can_switch("VD"))
     def switch_vardis(self) -> None:
         """Deactivate VarDis, or activate it again."""
         on = self.driver.model.vardis.active

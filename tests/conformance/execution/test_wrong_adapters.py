@@ -15,7 +15,7 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
-from dcp_conformance.upper_tester import contract, examination
+from dcp_conformance.upper_tester import Notification, contract, examination
 from dcp_conformance.upper_tester.channels import Channel
 from dcp_conformance.upper_tester.examination import Examination
 from dcp_conformance.upper_tester.stream import StreamUpperTester
@@ -340,11 +340,21 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "time", Clock())
 
 
+class VirtualStream(StreamUpperTester):
+    """Notifications have the time of the node."""
+
+    now: Callable[[], int] = lambda _: 0
+
+    def poll(self) -> list[Notification]:
+        return [msgspec.structs.replace(each, time=self.now()) for each in super().poll()]
+
+
 def examined(make: Callable[[], Adapter]) -> tuple[list[str], Runner]:
     """Return the reports of the examination of an adapter, and the runner of a node behind it."""
     sut = InProcess(reference_config(codec_of(PROFILE)))
     adapter = make()
-    upper = StreamUpperTester("adapter", lambda _: NodeChannel(sut, adapter), 0.05)
+    upper = VirtualStream("adapter", lambda _: NodeChannel(sut, adapter), 0.05)
+    upper.now = lambda: sut.now  # type: ignore[method-assign]
     reports: list[str] = []
     upper.faults.report = reports.append
     runner = Runner(Session(codec_of(PROFILE), sut.lower_tester(), upper, Pics()), sut)

@@ -206,6 +206,7 @@ def test_cases_with_other_observations_do_not_describe_the_implementation() -> N
 
 #: A node with one of these does not answer any more, which is all that its failed cases show.
 SILENT = {
+    "M-BP-TX-04-hangs",
     "M-BP-MGT-05-no-resume",
     "M-BP-MGT-05-receives-only",
     "M-BP-RX-16-mute",

@@ -40,7 +40,6 @@ _POLL_NS: Final = 20_000_000
 #: Separators in quoted last lines of a process (``dcp_codec.common.child.LastLines.shown``).
 _OUTPUT, _LINES = "; its output: ", " | "
 _FAULT: Final = re.compile(r"fatal|error|terminate|exception|what\(\)|assert|panic|abort|fault", re.IGNORECASE)
-_REPORT: Final = re.compile(r"ERROR: \w+Sanitizer|runtime error:")
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
 
@@ -78,16 +77,14 @@ class Loss:
     def summary(self) -> str:
         """The loss in one line.
 
-        Of the output only the first line of a sanitizer's report is used, or the last line that mentions a fault, or else
-        the last line, because several processes print in any order.
+        Of the output only the summary of a sanitizer's report is used, or the last line that mentions a fault, or
+        else the last line, because several processes print in any order.
         """
         ending, separator, words = self.cause.partition(_OUTPUT)
         if "Sanitizer: " in ending or ": runtime error: " in ending:
             return f"{self.how}: {ending}"
         lines = words.split(_LINES)
-        telling = next(
-            (line for line in (*filter(_REPORT.search, lines), *reversed(lines)) if _FAULT.search(line)), lines[-1]
-        )
+        telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
         cause = f"{ending}{separator}{telling}" or self.observed
         return f"{self.how}: {cause}"
 
