@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import shutil
 import sys
 import time
@@ -19,9 +20,11 @@ from .common import note, table_lines
 
 if TYPE_CHECKING:
     from dcp_stack.sim.sweep.plan import Run, Study
-    from dcp_stack.sim.sweep.results import Outcome, Summary
+    from dcp_stack.sim.sweep.results import Estimate, Outcome, Summary
 
 DIFFERENT, INCOMPLETE = 1, 4
+#: Seeds after which ``--until-ci`` ends.
+_MOST_SEEDS = 1000
 #: Seconds between two reports of progress.
 _PROGRESS_S = 2.0
 
@@ -41,12 +44,21 @@ _PROGRESS_S = 2.0
 @click.option("--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds, in place of sweep.seeds.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: all cores]")
 @click.option(
+    "--until-ci",
+    type=click.FloatRange(0, 1, min_open=True),
+    metavar="X",
+    help="Double the seeds of each combination until half of the confidence interval of the share at the longest "
+    "distance is at most X (up to 1,000 seeds).",
+)
+@click.option(
     "--verify",
     type=click.Path(dir_okay=False, exists=True, path_type=Path),
     metavar="BUNDLE",
     help="Repeat the runs of a bundle.json of STUDY, and compare their digests.",
 )
-def command(study: Path, out: Path | None, seeds: int | None, jobs: int | None, verify: Path | None) -> int:
+def command(
+    study: Path, out: Path | None, seeds: int | None, jobs: int | None, until_ci: float | None, verify: Path | None
+) -> int:
     """Run STUDY, a scenario (docs/scenarios.md) with a table [sweep]: lists of values by the keys of the scenario.
 
     Writes runs.jsonl as it goes, and at the end table.csv, plot.svg, runs.csv, runs.parquet (extra
@@ -69,22 +81,25 @@ def command(study: Path, out: Path | None, seeds: int | None, jobs: int | None, 
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "runs.jsonl"
         done = stored(path)
-        missing = [run for run in runs if run.key not in done]
-        resumed, begun = len(runs) - len(missing), time.monotonic()
-        complete = True
-        with path.open("ab") as lines:
-            if lines.tell() and not path.read_bytes().endswith(b"\n"):
-                lines.write(b"\n")
-            try:
-                for outcome in _outcomes(missing, jobs, resumed):
-                    done[outcome.key] = outcome
-                    lines.write(msgspec.json.encode(outcome) + b"\n")
-                    lines.flush()
-            except KeyboardInterrupt:
-                complete = False
-        # The numbers of cells are those of this study: the file may have runs of another one.
-        own = [msgspec.structs.replace(done[run.key], cell=run.cell, seed=run.seed) for run in runs if run.key in done]
-        table = summaries(own)
+        resumed, begun = sum(run.key in done for run in runs), time.monotonic()
+        while True:
+            complete = _run_missing(runs, done, path, jobs)
+            # The numbers of cells are those of this study: the file may have runs of another one.
+            own = [
+                msgspec.structs.replace(done[run.key], cell=run.cell, seed=run.seed) for run in runs if run.key in done
+            ]
+            table = summaries(own)
+            wide = {
+                each.cell
+                for each in farthest(table)
+                if until_ci is not None and each.share is not None and _half(each.share) > until_ci
+            }
+            if not complete or not wide or found.seeds >= _MOST_SEEDS:
+                break
+            # Cells that are precise enough keep their seeds.
+            found = msgspec.structs.replace(found, seeds=min(2 * found.seeds, _MOST_SEEDS))
+            planned = {run.key for run in runs}
+            runs += [run for run in found.runs(str(study)) if run.cell in wide and run.key not in planned]
         _write(found, own, table, folder)
     except ScenarioError as error:
         raise ExpectedError(str(error)) from None
@@ -98,6 +113,33 @@ def command(study: Path, out: Path | None, seeds: int | None, jobs: int | None, 
         click.echo(f"\n{unmet} runs do not meet the expectations of the scenario")
     click.echo(f"\n{folder}: runs.jsonl, runs.csv, table.csv, plot.svg, bundle.json" + _parquet(found, own, folder))
     return 0 if complete else INCOMPLETE
+
+
+def _half(estimate: Estimate) -> float:
+    """Return half of a confidence interval, infinity with a single seed."""
+    return math.inf if estimate.half is None else estimate.half
+
+
+def _run_missing(runs: Sequence[Run], done: dict[str, Outcome], path: Path, jobs: int | None) -> bool:
+    """Execute the runs that are not done, and append them to the file; False after an interruption."""
+    import msgspec
+
+    from dcp_codec.common.workers import WorkerLostError
+
+    missing = [run for run in runs if run.key not in done]
+    with path.open("ab") as lines:
+        if lines.tell() and not path.read_bytes().endswith(b"\n"):
+            lines.write(b"\n")
+        try:
+            for outcome in _outcomes(missing, jobs, len(runs) - len(missing)):
+                done[outcome.key] = outcome
+                lines.write(msgspec.json.encode(outcome) + b"\n")
+                lines.flush()
+        except KeyboardInterrupt:
+            return False
+        except WorkerLostError as error:
+            raise ExpectedError(f"{error} The runs that are done are kept", INCOMPLETE) from None
+    return True
 
 
 def _outcomes(runs: Sequence[Run], jobs: int | None, resumed: int) -> Iterable[Outcome]:

@@ -353,11 +353,10 @@ def examined(make: Callable[[], Adapter]) -> tuple[list[str], Runner]:
     """Return the reports of the examination of an adapter, and the runner of a node behind it."""
     sut = InProcess(reference_config(codec_of(PROFILE)))
     adapter = make()
-    upper = VirtualStream("adapter", lambda _: NodeChannel(sut, adapter), 0.05)
+    upper = VirtualStream("adapter", lambda _: NodeChannel(sut, adapter), 5.0)
     upper.now = lambda: sut.now  # type: ignore[method-assign]
     reports: list[str] = []
     upper.faults.report = reports.append
-    runner = Runner(Session(codec_of(PROFILE), sut.lower_tester(), upper, Pics()), sut)
     restart = sut.restart
 
     def again() -> None:
@@ -365,6 +364,7 @@ def examined(make: Callable[[], Adapter]) -> tuple[list[str], Runner]:
         upper.reconnect()
 
     sut.restart = again  # type: ignore[method-assign]
+    runner = Runner(Session(codec_of(PROFILE), sut.lower_tester(), upper, Pics()), sut)
     runner.prepare()
     runner.examine()
     return reports, runner

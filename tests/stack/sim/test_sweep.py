@@ -129,6 +129,17 @@ def test_the_table_has_means_over_seeds(run, study, tmp_path):
         assert row["few"] == str(int(row["received"]) < 10)
 
 
+def test_seeds_are_added_until_the_intervals_are_narrow(run, study, tmp_path):
+    status, output, _ = run(study, "--until-ci", 0.3, "--jobs", 1)
+    assert status == 0
+    with (tmp_path / "study" / "table.csv").open() as file:
+        rows = [each for each in csv.DictReader(file) if (each["kind"], each["hops"]) == ("update", "2")]
+    assert {each["seeds"] for each in rows if each["link.loss"] == "0.0"} == {"2"}
+    assert max(int(each["seeds"]) for each in rows) > 2
+    assert all(float(each["share_ci95"]) <= 0.3 for each in rows)
+    assert output.startswith(f"{sum(int(each['seeds']) for each in rows)} of ")
+
+
 def test_confidence_intervals():
     # By hand: sd of 1, 2, 3, 4, 5 is sqrt(2.5); t(0.975, 4) = 2.776.
     found = Estimate.of([1.0, 2.0, 3.0, 4.0, 5.0])
