@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
+from dcp_conformance.test_system.judgement.matchers import Matchers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.reception.receiver import Receiver
 from dcp_conformance.test_system.steps import Steps
@@ -128,10 +129,10 @@ class Services:
         """
         expected = f"{method} answers {' or '.join(statuses)}"
         self.require_asked(answer, expected, *requirements)
-        matches = any(map(answer.is_status, statuses))
+        other = not any(map(answer.is_status, statuses))
         # An internal error proves nothing: an adapter may send it because the implementation has ended.
-        shown = answer.code != INTERNAL_ERROR
-        return self._verdicts.check(matches, expected, f"{answer}", *requirements, shown=shown)
+        given = answer.code != INTERNAL_ERROR
+        return Matchers(self._verdicts).none(other, expected, *requirements, seen=answer, given=given)
 
     def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
         """Stop as inconclusive unless the answer is that of the implementation."""
