@@ -2,7 +2,8 @@
 
 What a queue holds is a *set* of possible contents: a beacon that the tester has not received yet may already contain
 the head. Each observation removes the contents that contradict it; if none is left, the node has violated a
-requirement. ``None`` instead of a set: the contents are unknown until the queue is cleared or registered anew.
+requirement. ``None`` instead of a set: the contents are unknown until the queue is cleared, or its client registers
+again.
 """
 
 from __future__ import annotations
@@ -316,7 +317,7 @@ class BPModel:
             return
         client.stamp = stamp
         former = self._stamps.setdefault(client.prot_id, set())
-        # A clock may be coarse; half a second it is not.
+        # The resolution of a clock may be low, but not half a second.
         if stamp in former and time - self._stamped[client.prot_id] > 500_000_000:
             yield Finding((which, "BP-REG-06"), "the time of this registration", "that of an earlier registration")
         former.add(stamp)
@@ -515,7 +516,7 @@ class BPModel:
                 yield Finding(each.never, f"no payload delivered to protocol {prot_id}", _brief(octets))
                 return
         if prot_id in self.clients or prot_id in self._gone:
-            yield Finding(("BP-RXP-02", "BP-RXP-01"), "an indication of a payload as it was sent, once", _brief(octets))
+            yield Finding(("BP-RXP-02", "BP-RXP-01"), "one indication of each payload, with its octets", _brief(octets))
 
     def undelivered(self, time: int) -> Iterator[Finding]:
         """Yield a finding for each payload that should have been delivered by ``time``."""

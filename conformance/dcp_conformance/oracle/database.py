@@ -24,7 +24,7 @@ _ROTATION: Final = {
     _CREATES: "VD-CMP-06", _DELETES: "VD-CMP-10", _UPDATES: "VD-CMP-09", _SUMMARIES: "VD-CMP-03",
     _CREATE_REQUESTS: "VD-PAY-06", _UPDATE_REQUESTS: "VD-PAY-06",
 }  # fmt: skip
-#: By kind of a record that left a variable as it was: the requirements.
+#: By kind of a record that has not changed a variable: the requirements.
 _IGNORED: Final = {
     _CREATES: ("VD-PC-01", "VD-PC-04"), _DELETES: ("VD-PD-01", "VD-PD-03"), _UPDATES: ("VD-PU-05", "VD-PU-03"),
 }  # fmt: skip

@@ -19,7 +19,7 @@ class Finding(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """One status that the confirm of a service may have, and the requirement that says so."""
+    """One status that the confirm of a service may have, and the requirement that decides it."""
 
     status: str
     requirement: str
@@ -44,13 +44,6 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     """Whether frames may be lost in either direction."""
     clock: int | None = None
     """Largest difference between the node's clock and the tester's; None if it is unknown."""
-
-
-class Unbound(msgspec.Struct, frozen=True):
-    """Capacities that an implementation may have, and that nobody has declared."""
-
-    entries: int = 1 << 30
-    """Entries of a queue of BP."""
 
 
 def either(expected: list[Expected]) -> str:

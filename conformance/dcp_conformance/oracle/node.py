@@ -53,7 +53,7 @@ class NodeModel:
     ) -> None:
         """``parameters``: values by the names of the specification. ``readings``: those that the node declares.
 
-        ``alone``: whether nobody but the tester uses the services of the node.
+        ``alone``: whether only the tester uses the services of the node.
         """
         profile = codec.profile
         self.codec = codec

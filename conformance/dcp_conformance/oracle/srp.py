@@ -29,7 +29,7 @@ class Report(msgspec.Struct):
 
 
 class Handed(msgspec.Struct):
-    """Safety data that the tester has handed down."""
+    """Safety data that the tester has submitted."""
 
     number: int
     values: Any
@@ -133,6 +133,7 @@ class SRPModel:
         """Record a new SRPPAR_NEIGHBOUR_TABLE_TIMEOUT in ns."""
         self.expire(time)
         self._slow, self.timeout, self._changed = max(self._slow, self.timeout), timeout, time
+        self._expired = -(1 << 62)
 
     def listed(self, rows: dict[bytes, dict[str, Any]], time: int) -> Iterator[Finding]:
         """Judge the content of the neighbour table."""
@@ -179,7 +180,9 @@ class SRPModel:
         newest = [each for each in self.handed if each.number > this.number]
         if any(time - each.time > self.timing.flight for each in newest):
             yield Finding(
-                ("SRP-TYP-07",), f"the safety data of hand-down {newest[-1].number + 1}", f"those of {this.number + 1}"
+                ("SRP-TYP-07",),
+                f"the safety data of submission {newest[-1].number + 1}",
+                f"the safety data of submission {this.number + 1}",
             )
             return
         this.sent += 1
@@ -203,13 +206,13 @@ class SRPModel:
         this.seqno = seqno
 
     def _stamped(self, this: Handed, stamp: int) -> Iterator[Finding]:
-        """Judge a time stamp, by the clock if it is known, or by the stamp of an earlier hand-down."""
+        """Judge a time stamp, by the clock if it is known, or by the stamp of an earlier submission."""
         if self.timing.clock is None:
             return
         slack = self.timing.clock
         if not this.before - slack <= stamp <= this.after + slack:
             off = (stamp - this.before) // MS
-            yield Finding(("SRP-TYP-05",), "the time of the hand-down as tStamp", f"a time {off} ms later")
+            yield Finding(("SRP-TYP-05",), "the time of the submission as tStamp", f"a time {off} ms later")
         this.stamp = stamp
 
     @property

@@ -13,7 +13,7 @@ import msgspec
 
 from .steps import Call, Step, Wait
 
-#: Services after which an implementation differs for everybody.
+#: A parameter on which the times of the tester depend.
 _PERIOD = "BPPAR_BEACON_PERIOD"
 #: Most variables or neighbours at once: an implementation may have room for few.
 _TOGETHER = 6
@@ -28,8 +28,10 @@ class Sequence(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The services that it calls."""
-        return tuple(dict.fromkeys(each.method for each in self.steps if isinstance(each, Call)))
+        """The services that it calls, and those that undo its changes."""
+        called = [each.method for each in self.steps if isinstance(each, Call)]
+        undoing = [each.replace("-Deactivate", "-Activate") for each in called]
+        return tuple(dict.fromkeys((*called, *undoing)))
 
     @property
     def periods(self) -> float:

@@ -49,9 +49,11 @@ class Executor(Protocol):
     own_id: bytes
     timing: Timing
     alone: bool
-    """Whether nobody but this sequence uses the services of the node, or changes its parameters."""
+    """Whether only this sequence uses the services of the node, and changes its parameters."""
     looks: bool
     """Whether calls are quick, so that the state can be queried after each step."""
+    confirms: bool
+    """Whether BP-TransmitPayload is confirmed with its status, which is optional (BP-TXP-08)."""
     hears_vardis: bool
     """Whether the node has VarDis."""
     crowds: int

@@ -8,7 +8,7 @@ from dcp_conformance.test_system.bench import Bench
 
 from .driver import Counterexample, Driver, table
 from .on_bench import BenchExecutor
-from .steps import Step
+from .steps import Beacon, Call, Records, Report, Step
 
 #: Executions to make a counterexample shorter.
 _ATTEMPTS = 12
@@ -32,6 +32,8 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     A counterexample that a second execution does not show may be an effect of a loss or a delay, and is inconclusive.
     """
     expected = "every observation is one that the model allows"
+    if unknown := BenchExecutor.unknown(bench, *_protocols(steps)):
+        bench.verdicts.not_applicable(f"the value of {unknown} is not known: state it in the PIXIT")
     found = execute(bench, steps, alone=alone)
     if found is None:
         bench.passed(expected)
@@ -62,3 +64,15 @@ def shorter(ready: Callable[[], Bench], found: Counterexample, *, alone: bool) -
             found = again
         place = min(place, len(found.steps)) - 1
     return found
+
+
+def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:
+    """Return the beginnings of the names of the parameters on which a sequence depends."""
+    found = ["BPPAR"]
+    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    methods = [each.method for each in steps if isinstance(each, Call)]
+    if any(isinstance(each, Report) for each in blocks) or any(each.startswith("SRP") for each in methods):
+        found.append("SRPPAR")
+    if any(isinstance(each, Records) for each in blocks) or any(each.startswith(("RTDB", "VD")) for each in methods):
+        found.append("VARDISPAR")
+    return tuple(found)

@@ -31,8 +31,7 @@ VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
 NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
 #: Beacon periods of a wait.
 PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
-#: What a sequence is about: the actions, more frequent ones several times. A sequence about everything reaches too
-#: little of anything.
+#: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
 THEMES: Final[dict[str, tuple[str, ...]]] = {
     "registrations": (
         "renew",
@@ -59,7 +58,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
     "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
-    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "hand_down", "wait"),
+    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "submit_safety_data", "wait"),
     "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
     "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
     "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
@@ -126,7 +125,7 @@ class NodeMachine(RuleBasedStateMachine):
         self.counterexample: Counterexample | None = None
         self._version = self.executor.codec.profile.spec_version
         self.title = ""
-        """What the sequence is about."""
+        """The theme of the sequence."""
         self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
 
@@ -174,6 +173,11 @@ class NodeMachine(RuleBasedStateMachine):
     def has(self, method: str) -> bool:
         """Return whether the upper tester has a method."""
         return method in self.executor.methods
+
+    def can_switch(self, protocol: str) -> bool:
+        """Return whether the sequence may deactivate a protocol, and can activate it again."""
+        both = self.has(f"{protocol}-MGMT-Deactivate") and self.has(f"{protocol}-MGMT-Activate")
+        return both and self.executor.alone
 
     def registrations(self) -> dict[int, Registration]:
         """Return the registrations by the numbers of the sequence."""
@@ -249,7 +253,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Clear the buffer of a client protocol."""
         self.take(Call("BP-ClearBuffer", {"protId": self._one_of(which)}))
 
-    @action(lambda self: self.has("BP-MGMT-Deactivate") and self.executor.alone)
+    @action(lambda self: self.can_switch("BP"))
     def switch_bp(self) -> None:
         """Deactivate BP, or activate it again."""
         on = self.driver.model.bp.active
@@ -339,8 +343,8 @@ class NodeMachine(RuleBasedStateMachine):
     # -- SRP -------------------------------------------------------------------------------------------------
 
     @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
-    def hand_down(self, times: int, pause: bool) -> None:
-        """Hand safety data down."""
+    def submit_safety_data(self, times: int, pause: bool) -> None:
+        """Submit safety data."""
         for _ in range(times):
             if pause:
                 self.take(Wait(0.4))
@@ -395,7 +399,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Delete a variable."""
         self.take(Call("RTDB-Delete", {"varId": number}))
 
-    @action(lambda self: self.has("VD-MGMT-Deactivate") and self.executor.alone)
+    @action(lambda self: self.can_switch("VD"))
     def switch_vardis(self) -> None:
         """Deactivate VarDis, or activate it again."""
         on = self.driver.model.vardis.active

@@ -19,6 +19,8 @@ _PARAMETERS: Final = (
     "VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_DESCRIPTION_LENGTH", "VARDISPAR_MAX_REPETITIONS",
     "VARDISPAR_MAX_PAYLOAD_SIZE", "VARDISPAR_MAX_SUMMARIES", "VARDISPAR_SCRUBBING_PERIOD",
 )  # fmt: skip
+#: Those that decide statuses and contents.
+_DECIDING: Final = frozenset(_PARAMETERS) - {"BPPAR_BEACON_PERIOD", "BPPAR_NETWORK_ID"}
 _HOUR: Final = 3_600
 
 
@@ -82,6 +84,8 @@ class BenchExecutor:
         self.methods: frozenset[str] = frozenset() if upper is None else upper.methods
         self.own_id = bench.identifiers.sut_id
         self.hears_vardis = bench.sut.pics.vardis is not False
+        claimed = bench.sut.pics.transmit_payload_confirm
+        self.confirms = bench.profile.behaviour.transmit_payload_confirm if claimed is None else claimed
         self.readings: Mapping[str, str] = bench.session.pics.readings
         call = bench.session.slow_call
         self.looks = call <= _QUICK
@@ -99,8 +103,14 @@ class BenchExecutor:
         self._beacons = len(bench.heard)
         self._notifications = len(bench.receiver.notifications)
 
+    @staticmethod
+    def unknown(bench: Bench, *protocols: str) -> str:
+        """Return a parameter of these protocols whose value is only assumed; empty if there is none."""
+        names = (each for each in _PARAMETERS if each.startswith(protocols) and each in _DECIDING)
+        return next((each for each in names if bench.sut.is_assumed(each)), "")
+
     def parameters(self) -> dict[str, Any]:
-        """Return the values of all parameters, as far as they are known."""
+        """Return the values of all parameters; usual ones if they are unknown."""
         found = {name: self._bench.sut.parameter(name) for name in _PARAMETERS}
         if not self._bench.profile.has_header_field("networkId"):
             del found["BPPAR_NETWORK_ID"]

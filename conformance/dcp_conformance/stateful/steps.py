@@ -27,7 +27,7 @@ class Call(msgspec.Struct, frozen=True, omit_defaults=True, tag="call"):
     method: str
     params: dict[str, Any] = {}
     times: int = 1
-    """How often it is made, with other octets each time."""
+    """Number of requests, each with other octets."""
 
 
 class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):

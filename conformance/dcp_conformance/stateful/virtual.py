@@ -69,6 +69,7 @@ class VirtualExecutor:
     looks = True
     crowds = 256
     lossy_services = False
+    confirms = True
 
     def __init__(
         self,

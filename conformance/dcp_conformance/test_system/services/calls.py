@@ -10,12 +10,12 @@ from typing import Any, Protocol
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
-from dcp_conformance.test_system.judgement.matchers import Matchers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.reception.receiver import Receiver
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.traffic import Traffic
 from dcp_conformance.upper_tester import Answer, UpperTester
+from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 
 from .changes import Changes
 
@@ -129,7 +129,9 @@ class Services:
         expected = f"{method} answers {' or '.join(statuses)}"
         self.require_asked(answer, expected, *requirements)
         matches = any(map(answer.is_status, statuses))
-        return Matchers(self._verdicts).proved(matches, expected, answer, *requirements)
+        # An internal error proves nothing: an adapter may send it because the implementation has ended.
+        shown = answer.code != INTERNAL_ERROR
+        return self._verdicts.check(matches, expected, f"{answer}", *requirements, shown=shown)
 
     def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
         """Stop as inconclusive unless the answer is that of the implementation."""
