@@ -44,6 +44,8 @@ class Row:
     theory: float
     values: list[float]
     digits: int = 1
+    sigma: float | None = None
+    """Standard error of the mean according to theory; None: that of the values."""
 
     @property
     def mean(self) -> float:
@@ -51,6 +53,8 @@ class Row:
 
     @property
     def error(self) -> float:
+        if self.sigma is not None:
+            return self.sigma
         return statistics.stdev(self.values) / math.sqrt(len(self.values))
 
     @property
@@ -102,6 +106,14 @@ def delay(loss: float, repetitions: int, hops: int) -> float:
     return hops * (WAIT + failed * PERIOD_MS)
 
 
+def spread(loss: float, repetitions: int, hops: int) -> float:
+    """Standard deviation of the delay of the updates that arrive, in ms."""
+    weights = [loss**count * (1 - loss) / (1 - loss**repetitions) for count in range(repetitions)]
+    mean = sum(count * weight for count, weight in enumerate(weights))
+    variance = sum((count - mean) ** 2 * weight for count, weight in enumerate(weights))
+    return math.sqrt(hops * (WAIT_VARIANCE + PERIOD_MS**2 * variance))
+
+
 def rows(seeds: int, updates: int) -> Iterator[Row]:
     """Yield all comparisons."""
     numbers = range(1, seeds + 1)
@@ -111,17 +123,22 @@ def rows(seeds: int, updates: int) -> Iterator[Row]:
         for hops in distances:
             found = [at(each, hops) for each in reports]
             what = f"no loss{name}, h = {hops}"
-            yield Row(f"mean delay (ms), {what}", hops * WAIT, [each.mean_ms or 0 for each in found])
-            spread = math.sqrt(hops * WAIT_VARIANCE)
-            yield Row(f"its standard deviation (ms), {what}", spread, [each.sd_ms or 0 for each in found])
-    for loss, repetitions in ((0.1, 1), (0.2, 1), (0.2, 2), (0.5, 2), (0.5, 3)):
-        reports = [line(5, loss, repetitions, seed, updates) for seed in numbers]
+            sd, count = spread(0.0, 1, hops), updates * seeds
+            means, sds = [each.mean_ms or 0 for each in found], [each.sd_ms or 0 for each in found]
+            yield Row(f"mean delay (ms), {what}", hops * WAIT, means, sigma=sd / math.sqrt(count))
+            yield Row(f"its standard deviation (ms), {what}", sd, sds, sigma=sd / math.sqrt(2 * count))
+    for group, (loss, repetitions) in enumerate(((0.1, 1), (0.2, 1), (0.2, 2), (0.5, 2), (0.5, 3)), 1):
+        # Seeds of their own: with common random numbers the differences of all rows would have the same sign.
+        reports = [line(5, loss, repetitions, 100 * group + seed, updates) for seed in numbers]
         for hops in (1, 2, 4):
             found = [at(each, hops) for each in reports]
             what = f"p = {loss}, r = {repetitions}, h = {hops}"
-            yield Row(f"share received, {what}", delivery(loss, repetitions, hops), [each.share for each in found], 3)
+            share = delivery(loss, repetitions, hops)
+            sigma = math.sqrt(share * (1 - share) / (updates * seeds))
+            yield Row(f"share received, {what}", share, [each.share for each in found], 3, sigma)
             means = [each.mean_ms for each in found if each.mean_ms is not None]
-            yield Row(f"mean delay (ms), {what}", delay(loss, repetitions, hops), means)
+            sigma = spread(loss, repetitions, hops) / math.sqrt(share * updates * seeds)
+            yield Row(f"mean delay (ms), {what}", delay(loss, repetitions, hops), means, sigma=sigma)
     bursts = [line(2, 0.3, 1, seed, 10 * updates, summaries=10, burst=5.0) for seed in numbers]
     yield Row("share lost in bursts of 5, p = 0.3", 0.3, [each.shares.get("lost", 0.0) for each in bursts], 3)
     sent = [line(4, 0.0, 3, seed, updates) for seed in numbers]
@@ -136,7 +153,7 @@ def at(report: Report, hops: int) -> DelayRow:
 
 def main(arguments: list[str]) -> int:
     short = "--short" in arguments
-    found = list(rows(4, 12) if short else rows(8, 100))
+    found = list(rows(4, 12) if short else rows(4, 50))
     text = table(["", "theory", "simulated", "s.e.", "z"], [each.cells() for each in found], "lrrrr")
     print(text)
     if not short:
