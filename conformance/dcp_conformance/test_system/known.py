@@ -80,7 +80,7 @@ class Known:
 
         It includes the wait for a beacon.
         """
-        return max(0.5, *self.reaction.samples)
+        return max((0.5, *self.reaction.samples))
 
     @property
     def question(self) -> Question:
