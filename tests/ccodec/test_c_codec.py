@@ -46,10 +46,10 @@ def test_a_difference_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     frames = [mutator.mutate().octets for _ in range(1000)]
     original = codec_files(codec)["dcp_codec.c"]
     for before, after in (
-        ("v->seqno = be4(p + 14);", "v->seqno = be4(p + 13);"),
+        ("v->seqno = dcp_be4(p + 14);", "v->seqno = dcp_be4(p + 13);"),
         ("r.end - r.at < beacon->bp.length", "r.end - r.at + 1u < beacon->bp.length"),
         ("f->size, r->end - r->at);", "f->size, r->end - r->at + 1u);"),
-        ("put_be2(p + 16, v->spec.timeout);", "put_be2(p + 16, 0);"),
+        ("dcp_put_be4(p + 14, v->seqno);", "dcp_put_be4(p + 14, 0);"),
         ("*length_at = r->at + 2u;", "*length_at = r->at;"),
     ):
         assert original.count(before) >= 1, before
