@@ -28,7 +28,7 @@ class CouldNotAskError(UpperTesterError):
 
 
 class ContractError(CouldNotAskError):
-    """An answer of the upper tester breaks its contract: a fault of the adapter, which says nothing about the SUT."""
+    """An answer of the upper tester breaks its contract: a fault of the adapter, not of the SUT."""
 
 
 class NeverAnsweredError(CouldNotAskError):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError, SectionedCommand
 
 from .common import counted, note, table_lines
 
@@ -49,6 +49,11 @@ def _limits(function: Any) -> Any:
 
 @click.command(
     "explore",
+    cls=SectionedCommand,
+    sections={
+        "Space": f"profile {' '.join(_LIMITS)} seqno_modulus proposal",
+        "Output": "as_json chart out",
+    },
     epilog="Exit status: 0 all states were visited, and none violates a property; 1 violations were found; 2 wrong "
     "usage or an invalid space; 4 no violation was found, but not all states were visited (Ctrl-C, --max-states).",
 )

@@ -41,7 +41,7 @@ def build(codec: Codec, folder: Path, compiler: str = "cc", options: Sequence[st
     for name, text in {**codec_files(codec), "harness.c": harness(codec)}.items():
         (folder / name).write_text(text, encoding="utf-8")
     program = folder / "harness"
-    # The harness itself is no example: only the codec is built strictly.
+    # Only the codec is built strictly, not the harness.
     for strict, source in ((STRICT, "dcp_codec.c"), (("-std=c99",), "harness.c")):
         command = [compiler, *strict, *options, "-c", source, "-o", f"{source}.o"]
         found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 NODE = ROOT / "examples" / "c-node"
 EXAMPLES = re.findall(r"^--> (.*)$", (ROOT / "conformance" / "UPPER-TESTER.md").read_text(), re.MULTILINE)
 LINES = 6000
-#: What replaces a part of a line: JSON of other kinds, edges of numbers, escapes, damaged UTF-8.
+#: Replacements of a part of a line: JSON of other kinds, edges of numbers, escapes, damaged UTF-8.
 PARTS = (
     *(b"0", b"-1", b"1.5", b"1e400", b"9223372036854775807", b"9223372036854775808", b"-9223372036854775808"),
     *(b'""', b'"\\u0041"', b'"\\ud83d\\ude00"', b'"\\ud83d"', b"\\", b'"', b"\xff", b"\xc3\xa9", b"\xed\xa0\x80"),

@@ -170,7 +170,7 @@ class Context:
         self.withheld: dict[str, str] = {}
         """Requirement -> the reason why it does not get the verdict pass."""
         self.hears: Callable[[bytes, bytes], bool | None] = lambda _listener, _speaker: None
-        """Whether a node can hear another one, as the user has told; None if nothing is told about the listener."""
+        """Whether a node can hear another one, as stated by the user; None without a statement about the listener."""
         self.changed = False
         """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
         self.ledger = Ledger(MOST_VARIABLES)

@@ -112,7 +112,7 @@ class Case:
     long: bool = False
     """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
     alone: str = ""
-    """Why it cannot be executed beside other cases, as far as its needs do not say so; empty if it can.
+    """Why it cannot be executed beside other cases, if that does not follow from its needs; empty if it can.
 
     The steps about the room in beacons refuse to serve a case beside others that does not declare this.
     """

@@ -79,7 +79,7 @@ def between_beacons(
     for attempt in range(first, _ATTEMPTS):
         paused = can_pause and attempt == _ATTEMPTS - 1
         if paused and not keeps_payloads(bench):
-            # What is missing afterwards would tell nothing about queues and buffers.
+            # Nothing about queues and buffers would follow from payloads that are missing afterwards.
             lost = "; while BP is deactivated, the implementation loses payloads (BP-MGT-04)"
             paused = False
         result, good = in_a_gap(bench, act, sent, paused=paused)

@@ -104,7 +104,7 @@ class Session:
         self.keeps_payloads: bool | None = None
         """Whether it keeps buffered payloads while BP is deactivated; None: not tried yet."""
         self.foreign_reports = ForeignReports(lower.now())
-        """What shows that an application on the node submits safety data."""
+        """The evidence that an application on the node submits safety data."""
         self.counting = Counting()
         """The steps between the sequence numbers of its beacons."""
         overload = lower.overload if isinstance(lower, OnThisMachine) else None

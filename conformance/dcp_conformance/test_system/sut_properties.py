@@ -223,7 +223,7 @@ class SutProperties:
         return capacity(self.pixit, self.profile, what)
 
     def lacks(self, what: Capacity, wanted: int) -> str:
-        """Return why the implementation has no room for ``wanted`` entries; empty if no declared capacity says so."""
+        """Return why the implementation has no room for ``wanted`` entries; empty if there is room."""
         room = self.capacity(what)
         name = _CAPACITIES[what]
         return f"the implementation has room for {room} {name}, as declared" if room and room < wanted else ""

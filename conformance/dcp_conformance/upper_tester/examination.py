@@ -32,12 +32,12 @@ Outcome = Literal["right", "optional", "absent", "wrong"]
 
 @dataclass(frozen=True, slots=True)
 class Examined:
-    """What was found about one method or notification."""
+    """The finding about one method or notification."""
 
     method: str
     outcome: Outcome
     what: str = ""
-    """What was observed; for a method that is right, its answer."""
+    """The observation; for a method that is right, its answer."""
 
 
 class Examination:

@@ -18,7 +18,7 @@ class Violation(msgspec.Struct, frozen=True):
     method: str
     """The method that was answered, or the notification."""
     what: str
-    """What is wrong, and where in the message."""
+    """The fault, and its place in the message."""
     place: str
     """The section of UPPER-TESTER.md that says how it must be."""
     message: str = ""

@@ -96,7 +96,7 @@ class _Contract:
         }[schema["type"]]
 
     def _members(self, params: Mapping[str, Any]) -> Iterator[tuple[str, str, bool, bool, Mapping[str, Any]]]:
-        """Yield name, kind, whether it is required, whether a member tells that it was given, and the schema."""
+        """Yield name, kind, whether it is required, whether a member states its presence, and the schema."""
         for name, schema in params["properties"].items():
             required = name in params["required"]
             yield name, self._kind(name, schema), required, not required and "default" not in schema, schema

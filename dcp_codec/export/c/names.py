@@ -65,7 +65,7 @@ def cite(identifier: str | None) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a text of a profile as it may stand in a comment."""
+    """Return a text of a profile in the form that a comment can have."""
     ascii_only = " ".join(text.split()).encode("ascii", "replace").decode()
     return (
         ascii_only.replace("``", "").replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")

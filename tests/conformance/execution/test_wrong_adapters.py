@@ -350,7 +350,7 @@ class VirtualStream(StreamUpperTester):
 
 
 def examined(make: Callable[[], Adapter]) -> tuple[list[str], Runner]:
-    """Return the reports of the examination of an adapter, and the runner of a node behind it."""
+    """Return the reports of the examination of an adapter, and the runner of a node that is reached by it."""
     sut = InProcess(reference_config(codec_of(PROFILE)))
     adapter = make()
     upper = VirtualStream("adapter", lambda _: NodeChannel(sut, adapter), 5.0)

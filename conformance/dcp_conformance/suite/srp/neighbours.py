@@ -69,7 +69,7 @@ def crowd(bench: Bench) -> None:
         _report(bench, lively, 1)
         begun = bench.now()
         _report(bench, silent, 1)
-        # Entries of records that were lost say nothing about the removal.
+        # Nothing about the removal follows from entries whose records were lost.
         for peer in peers[-2:]:
             until_neighbour(bench, peer.node_id)
 

@@ -108,7 +108,7 @@ class Losses:
 
     @property
     def declared(self) -> str:
-        """That the link loses frames, as declared; empty if it does not."""
+        """The declared loss of the link, as a reason; empty if none is declared."""
         return f"the link loses {self._sut.pixit.loss:.0%} of the frames (pixit.loss)" if self._sut.pixit.loss else ""
 
     def lateness(self) -> str:

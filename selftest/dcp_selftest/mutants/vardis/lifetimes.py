@@ -125,7 +125,7 @@ scrubs("first-32", "VD-SCR-01 VD-SCR-05", "scrubs only the first 32 variables of
 # -- further creations -------------------------------------------------------------------------------------------------
 
 
-class Anew(Vardis):
+class CreatedAgain(Vardis):
     """Keeps something of an earlier creation when its application creates a variable again."""
 
     kept: ClassVar[tuple[str, ...]]
@@ -140,7 +140,7 @@ class Anew(Vardis):
 
 
 # fmt: off
-anew = attributes(Anew, __name__)
+anew = attributes(CreatedAgain, __name__)
 anew("own-timeout-kept", "VD-CRE-03 VD-CRE-10 VD-TYP-04",
     "keeps the timeout of a variable that its application creates again", since=V2, kept=("timeout",), unseen=NOT_ANEW)
 anew("own-description-kept", "VD-CRE-03 VD-CRE-10 VD-TYP-05",

@@ -44,7 +44,7 @@ LEAST = 25
 MOST = 300
 #: A gap in the sequence numbers counts as missed beacons up to this number of beacons per typical interval elapsed.
 _MOST_MISSED = 2
-#: A beacon period in ms from which a third of it is no shorter than usual periods.
+#: A beacon period in ms of which a third is at least as long as usual periods.
 _DIVISIBLE = 90
 
 

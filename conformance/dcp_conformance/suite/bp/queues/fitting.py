@@ -74,7 +74,7 @@ def fit_together(bench: Bench) -> None:
 def fitting(bench: Bench, octets: int, *, together: bool) -> None:
     """Let two clients submit payloads of `octets` octets in total and check the beacons that carry them."""
     first, second = sizes_for(bench, octets)
-    # Whatever else is in the beacon, much larger payloads do not fit together.
+    # Much larger payloads do not fit together in any beacon.
     close = not together and octets - room(bench) <= header_octets(bench) + 1
     with BPClient(bench, ONCE, size=first) as one, BPClient(bench, ONCE, size=second) as two:
         start = others = 0

@@ -36,7 +36,7 @@ _BEYOND = 2
     "A queue of 64 entries keeps 64 payloads in order; its mode determines which of more payloads it keeps ({variant})",
     requirements="BP-QM-03",
     stimulus=(
-        "between two beacons, a client with mode {variant} and maxEntries 64 (less if the PIXIT says so) submits two "
+        "between two beacons, a client with mode {variant} and maxEntries 64 (or the number in the PIXIT) submits two "
         "payloads more"
     ),
     expect="64 payloads, each sent once and in order: the first 64 (DROPTAIL) or the last 64 (DROPHEAD)",

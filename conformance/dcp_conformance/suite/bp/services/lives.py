@@ -1,7 +1,7 @@
 """dcp-bp.md: Service Interface, registrations of one identifier in succession; Other BP Management Services.
 
-A client must behave as it is registered, whatever happened under its identifier before: an earlier registration with
-other values, requests that were refused, or a registration while BP is inactive.
+A client must behave according to its registration, whatever happened under its identifier before: an earlier
+registration with other values, requests that were refused, or a registration while BP is inactive.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _WAIT = 2_500
 
 
 class _Registered:
-    """What a registration must lead to. Requirements are those of its mode."""
+    """The required effects of a registration. Requirements are those of its mode."""
 
     def __init__(self, client: BPClient, *own: str) -> None:
         self.client = client

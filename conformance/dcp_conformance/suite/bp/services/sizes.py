@@ -78,7 +78,7 @@ def whole_number(bench: Bench, number: int) -> None:
     f"{_CLIENTS} clients can be registered at the same time",
     requirements="BP-REG-06 BP-LST-01 BP-LST-03",
     stimulus=f"{_CLIENTS} clients register; each of them submits a payload",
-    expect="all of them in the list, and a beacon with each payload; a limit of the memory is reported",
+    expect="all clients in the list, and a beacon with each payload; a limit of the memory is reported",
     window=50,
     needs=Needs(entities=(), ut=(*CLIENT, LIST), when=lambda bench: bench.sut.lacks("clients", _CLIENTS + 2) or None),
 )

@@ -103,7 +103,7 @@ def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
         f"about {_QUEUED} variables, in an order that neither rises nor falls, with repCnt 2; the next beacon queues "
         "one of those again that wait for the third payload, if that is possible"
     ),
-    expect="all of them in this order, then all again (requests once); full payloads, except for the last",
+    expect="all records in this order, then all again (requests once); full payloads, except for the last",
     window=30,
     needs=_SETTABLE,
     variants=_variants("new-variables", "deletes", "requests"),
@@ -117,7 +117,7 @@ def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     "As TC_VD_ORD_BV_01 for records of known variables ({variant})",
     requirements="VD-PAY-06 VD-PAY-02",
     stimulus="see TC_VD_ORD_BV_01; records of this kind: {variant}",
-    expect="all of them in the order of the queue, then all again (requests once); full payloads, except for the last",
+    expect="all records in the order of the queue, then all again (requests once); full payloads, except for the last",
     window=30,
     needs=_SETTABLE,
     variants=_variants("creates", "updates", "update-requests"),
@@ -278,7 +278,7 @@ def all_kinds_together(bench: Bench) -> None:
     "RTDB-DescribeDatabase returns all variables, also if there are 104",
     requirements="VD-DDB-02",
     stimulus="VarCreates of 104 variables",
-    expect="all of them in the answer",
+    expect="all variables in the answer",
     window=20,
     needs=Needs(
         SpecVersion.V1_0,

@@ -60,7 +60,7 @@ EXCUSES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("excuse", every(2, EXCUSES))
-def test_a_fault_behind_an_excuse_fails(excuse: str) -> None:
+def test_an_excuse_does_not_hide_a_fault(excuse: str) -> None:
     surroundings, faults = EXCUSES[excuse]
     for mutant, case in faults.items():
         made = setup(PROFILE, make=all_mutants()[mutant].make, **surroundings)
