@@ -27,6 +27,14 @@ class CouldNotAskError(UpperTesterError):
     """The upper tester cannot make this request; this allows no conclusion about the SUT."""
 
 
+class ContractError(CouldNotAskError):
+    """An answer of the upper tester breaks its contract: a fault of the adapter, which says nothing about the SUT."""
+
+
+class NeverAnsweredError(CouldNotAskError):
+    """A method is never answered, although the SUT answers others: the SUT does not hang."""
+
+
 class WorkerError(ConformanceError):
     """A worker process of the tester ended before its work was complete."""
 

@@ -20,7 +20,7 @@ from typing import IO
 from .printable import printable
 
 #: Lines at the end of the output that are quoted, octets of each, and octets of the file that are read for that.
-_LINES, _LINE, _TAIL = 10, 500, 8192
+_LINES, _LINE, _TAIL = 10, 500, 64 * 1024
 #: Octets of output that a temporary file keeps; then only the last ones remain.
 _MOST, _KEPT = 1024 * 1024, 64 * 1024
 #: Maximum seconds from SIGKILL to the end of a process group, and seconds between two checks.

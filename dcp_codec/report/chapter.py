@@ -95,7 +95,7 @@ def _tiles(
 ) -> list[tuple[str, str, str]]:
     malformed = recorded.outcome.malformed
     stale = sum(pair.differs_at_end for pair in held.pairs)
-    behind = sum(bool(pair.behind) for pair in held.pairs)
+    behind = sum(bool(pair.stale) for pair in held.pairs)
     lost, share = _lost(recorded, steps)
     tiles = [(f"{recorded.column('beacons', 'node').size:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
     if recorded.tells_losses:
@@ -151,7 +151,7 @@ def _figures(
     octets = sum(part.octets for part in analysis.overhead(recorded, context.time))
     delays = passed.delay[passed.counted]
     could, sent = sum(pair.values for pair in held.pairs), sum(pair.sent for pair in held.pairs)
-    behind = sum(b - a for pair in held.pairs for a, b in pair.behind)
+    behind = sum(b - a for pair in held.pairs for a, b in pair.stale)
     known = sum(b - a for pair in held.pairs for a, b in pair.known) or 1.0
 
     def quantile(at: float) -> str:

@@ -28,7 +28,7 @@ class Pair:
     """One node and one variable of another node. Spans are in seconds since the first frame.
 
     ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
-    or the node has not sent any. ``behind``: the stale part of them, which begins two seconds, and ten beacons of the
+    or the node has not sent any. ``stale``: the stale part of them, which begins two seconds, and ten beacons of the
     node, after the producer left the node's number. ``held`` and ``produced`` are the last numbers of node and
     producer: DELETED, or None without any. ``values`` is the number of values of the producer that the node could have
     sent, ``sent`` the number of those that it has sent.
@@ -39,7 +39,7 @@ class Pair:
     producer: int
     known: list[Span] = field(default_factory=list)
     differs: list[Span] = field(default_factory=list)
-    behind: list[Span] = field(default_factory=list)
+    stale: list[Span] = field(default_factory=list)
     #: The longest lag in seconds, and the largest one in values.
     age: float = 0.0
     numbers: int = 0
@@ -183,7 +183,7 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     # The number of a state is old from the change of the producer on; the pieces of one state have one such time.
     late = apart[:, 1] > left + patience
     if late.any():
-        pair.behind = _joined(np.stack([np.maximum(apart[:, 0], left + patience), apart[:, 1]], axis=1)[late])
+        pair.stale = _joined(np.stack([np.maximum(apart[:, 0], left + patience), apart[:, 1]], axis=1)[late])
         pair.age, pair.numbers = float((apart[:, 1] - left).max()), int(numbers[late].max())
     # The last beacon may end the difference.
     final = np.array([end])
@@ -192,7 +192,7 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     )
     open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
     found = []
-    for since, stop in pair.behind:
+    for since, stop in pair.stale:
         to_the_end = open_end and stop == end
         pair.differs_at_end |= to_the_end
         of_this = (apart[:, 1] > since) & (apart[:, 0] < stop)

@@ -122,12 +122,12 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
     time = context.time
     edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
-        "One row for each variable and node. Light blue: the node sends the last sequence number of the producer. Dark "
-        "blue: a newer one is on its way. Red and hatched: the producer left the node's number more than 2 s (and 10 "
-        "beacons of the node) before. White: it sends no record about the variable. Each interval is "
+        "One row for each variable and node. As the producer: the node sends its last sequence number. On its way: the "
+        "producer has a newer one, for a short time. Stale (red and hatched): the producer left the node's number more "
+        "than 2 s, and 10 beacons of the node, before. Blank: it sends no record about the variable. Each interval is "
         f"{seconds_text(float(edges[1]))} long."
     )
-    names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.behind else ''}" for pair in rows]
+    names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.stale else ''}" for pair in rows]
     chart = context.chart("holding", "Values held by each node", caption, rows=names, height=110 + 19 * len(rows))
     same: list[tuple[float, float, int]] = []
     waits: list[tuple[float, float, int]] = []
@@ -145,7 +145,7 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
             if differs[a]:
                 waits.append((edges[a], edges[b], row))
                 waiting.append(float(differs[a]))
-        for start, stop in pair.behind:
+        for start, stop in pair.stale:
             late.append((start, stop, row))
             numbers = map(number_text, pair.at(stop))
             for texts, text in zip((held, produced), numbers, strict=True):

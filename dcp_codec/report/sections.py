@@ -60,7 +60,7 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
     if not found.pairs:
         section.words.append("No node has sent a sequence number of another node's variable, so none can be compared.")
         return section
-    section.words += _behind(context, found)
+    section.words += _stale_values(context, found)
     section.tables.append(_at_the_end(context, found))
     plot, hidden = plots.holdings(context, found)
     if plot is not None:
@@ -82,9 +82,9 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
     return section
 
 
-def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
+def _stale_values(context: PlotContext, found: holding.Holding) -> list[str]:
     """Describe the stale values of nodes, and those at the end."""
-    behind = [pair for pair in found.pairs if pair.behind]
+    behind = [pair for pair in found.pairs if pair.stale]
     stale = [pair for pair in behind if pair.differs_at_end]
     if not behind:
         return ["No node had a stale value; at the end every node holds the last number of the producer."]

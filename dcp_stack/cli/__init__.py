@@ -22,6 +22,7 @@ main = CommandLine(
         "deactivate": "Deactivate BP and VarDis.",
         "reset": "Restore the state of a node after its start.",
         "simulate": "Run a network of nodes in virtual time.",
+        "sweep": "Run a scenario for all combinations of some values, and for several seeds.",
         "explore": "Visit all states of a small network, and find what goes wrong.",
         "testbed": "Run nodes in network namespaces on a virtual Ethernet.",
     },

@@ -46,7 +46,7 @@ _STAMPED: Final[Mapping[str, list[Any]]] = {
 }
 
 
-#: Key in ``DBEntry.own`` of a variable that its restarted producer has taken back.
+#: Key in ``DBEntry.own`` of a variable that its restarted producer has recovered.
 REGAINED: Final = "regained"
 
 
@@ -66,7 +66,7 @@ class Proposal(msgspec.Struct, frozen=True, kw_only=True):
     """A request for an unknown variable is ignored."""
     takes_back: bool = False
     """A producer that has restarted processes records of its own variables as others do: the VarCreate of one that it
-    does not know, or has taken back with an earlier creation time, and newer values."""
+    does not know, or has recovered with an earlier creation time, and newer values."""
     restamps: bool = False
     """A producer that hears of a later creation of its own alive variable sets its creation time to a later one."""
     first_stays: bool = False
@@ -232,7 +232,7 @@ class ProposedReceiver(Receiver):
         return self._proposal.takes_back and own
 
     def _is_later_regained(self, record: VarCreate, entry: DBEntry) -> bool:
-        """Return whether a VarCreate is later than a variable that was taken back and not created again since."""
+        """Return whether a VarCreate is later than a variable that was recovered and not created again since."""
         return REGAINED in entry.own and self._is_later(record, entry)
 
     def _restamp(self, created: int | None, entry: DBEntry | None) -> bool:
@@ -310,7 +310,7 @@ PROPOSALS: Final[Mapping[str, Proposal]] = {
             name="take-back",
             title="A restarted producer takes its variable back",
             text="A VarCreate with the node itself as producer is processed if the variable is unknown, or if it is "
-            "later than one that was taken back in this way, which also follows a VarDelete. Records with a newer "
+            "later than one that was recovered in this way, which also follows a VarDelete. Records with a newer "
             "sequence number of an own variable are processed as those of other variables.",
             takes_back=True,
         ),

@@ -146,7 +146,7 @@ def _proposals() -> str:
         rows.append(
             [f"**{name}**: {proposal.title}", *(", ".join(_in_order(each)) or "-" for each in cells), f"{states:,}"]
         )
-    return table(["proposal", "removes", "brings", "what is found", "states"], rows, "llllr")
+    return table(["proposal", "removes", "brings", "hazards found", "states"], rows, "llllr")
 
 
 def _brought(spaces: list[Space]) -> Iterator[tuple[str, frozenset[str]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
@@ -10,7 +11,15 @@ from typing import Any, Self
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -28,6 +37,7 @@ from dcp_conformance.reporting.overview import (
     diagnosed,
     observed_readings,
     sentence,
+    stated,
     undecided_deaths,
 )
 
@@ -49,6 +59,8 @@ _COLUMNS = (
     Verdict.ERROR,
     Verdict.NOT_APPLICABLE,
 )
+#: Seconds between two lines about the progress of a run without a progress bar.
+_MINUTE = 60.0
 #: Maximum number of frames that are named for one check.
 _FRAMES = 8
 #: Maximum number of failed checks that are shown for one case.
@@ -88,6 +100,8 @@ def progress_bar(*, quiet: bool) -> Progress:
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
         console=bar,
         transient=True,
         disable=quiet or not bar.is_terminal,
@@ -103,6 +117,8 @@ class Display:
         self._console = console()
         self._progress = progress_bar(quiet=quiet)
         self._task: TaskID | None = None
+        self._total = self._done = 0
+        self._began = self._told = time.monotonic()
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -116,9 +132,10 @@ class Display:
     def start(self, total: int) -> None:
         """Set the number of test cases of the run."""
         self._task = self._progress.add_task("cases", total=total)
+        self._total, self._began = total, time.monotonic()
 
     def waiting(self, what: str) -> None:
-        """Print on standard error what the run waits for before it starts."""
+        """Print a message on standard error: what the run waits for, or a fault of the adapter."""
         if not self._quiet:
             self._progress.console.print(data(what), soft_wrap=True, highlight=False)
 
@@ -126,6 +143,8 @@ class Display:
         """Show the result of a completed test case."""
         if self._task is not None:
             self._progress.update(self._task, advance=1, description=data(case.id))
+        self._done += 1
+        self._tell(case)
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
         if self._quiet or not (notable or self._verbose):
             return
@@ -134,6 +153,16 @@ class Display:
         out.print(self._line(result, surprise), soft_wrap=True, highlight=False)
         # A program may be reading the output from a pipe.
         out.file.flush()
+
+    def _tell(self, case: Case) -> None:
+        """Without a progress bar, print once a minute how far the run is."""
+        now = time.monotonic()
+        if self._quiet or not self._progress.disable or now - self._told < _MINUTE or not self._done:
+            return
+        self._told, passed = now, now - self._began
+        left = passed * max(0, self._total - self._done) / self._done
+        text = f"{self._done} of {self._total} cases after {passed:.0f} s, about {left:.0f} s left; now {case.id}"
+        self._progress.console.print(data(text), soft_wrap=True, highlight=False)
 
     def _line(self, result: CaseResult, surprise: str) -> str:
         style = STYLES[result.verdict]
@@ -198,7 +227,7 @@ def print_findings(run: RunResult) -> None:
         _print_errors(out, cases)
         printed.update(map(id, cases))
     for case in run.cases:
-        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and case.counted and id(case) not in printed:
             _print_finding(out, case)
 
 
@@ -207,6 +236,8 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
     if run.diagnosis is None or not (heading := diagnosed(run)):
         return
     out.print(f"\n[bold]{data(heading)}[/]", soft_wrap=True)
+    if (said := stated(run)) and run.diagnosis.stated is not None:
+        out.print(f"  {data(said)}  \\[{data(', '.join(run.diagnosis.stated.requirements))}]", soft_wrap=True)
     for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
         out.print(
             f"  {number}. {data(sentence(fault))}  \\[{data(', '.join(fault.requirements))}]",

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from dcp_codec.common.commandline import SectionedCommand, say
+from dcp_codec.common.printable import plain
 from dcp_conformance.errors import UsageError
 
 from .options import TARGET_SECTIONS, out_option, target_of, target_options
+
+if TYPE_CHECKING:
+    from dcp_conformance.execution.target import TargetOptions
 
 
 @click.command(
     "probe",
     cls=SectionedCommand,
-    sections={"Probe": "seconds passive out", **TARGET_SECTIONS},
-    epilog="Exit status: 0 a frame or answer was received; 2 wrong usage, or a file that cannot be written; 3 neither "
-    "frame nor answer was received, or no profile explains the frames; 4 a fault of the tester.",
+    sections={"Probe": "check_adapter seconds passive out", **TARGET_SECTIONS},
+    epilog="Exit status: 0 a frame or answer was received, or the adapter keeps to the contract; 1 the adapter breaks "
+    "it; 2 wrong usage, or a file that cannot be written; 3 neither frame nor answer was received, or no profile "
+    "explains the frames; 4 a fault of the tester.",
 )
 @target_options
 @click.option(
@@ -28,9 +34,14 @@ from .options import TARGET_SECTIONS, out_option, target_of, target_options
     metavar="S",
     help="Duration of listening.  [default: 10]",
 )
+@click.option(
+    "--check-adapter",
+    is_flag=True,
+    help="Walk through the methods of the upper tester (--ut), and show which are there and keep to the contract.",
+)
 @click.option("--passive", is_flag=True, help="Only listen: do not ask a silent implementation for variables.")
 @out_option("Write the PICS to this file.  [default: standard output]")
-def command(*, seconds: float, passive: bool, out: Path | None, **options: Any) -> int:
+def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | None, **options: Any) -> int:
     """Draft the PICS and PIXIT of an implementation by observation and queries.
 
     Observed and reported values are filled in with the reason. Every other entry is a comment with a question for you.
@@ -45,6 +56,8 @@ def command(*, seconds: float, passive: bool, out: Path | None, **options: Any) 
     from dcp_conformance.upper_tester.opening import open_upper
 
     target = target_of(options)
+    if check_adapter:
+        return _check_adapter(target.ut, target)
     if not target.foreign:
         raise UsageError(
             "give the link of the implementation: --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP"
@@ -76,3 +89,30 @@ def command(*, seconds: float, passive: bool, out: Path | None, **options: Any) 
         return 3
     heard = not any(remark.startswith("nothing was heard") for remark in remarks)
     return 0 if heard or upper is not None else 3
+
+
+def _check_adapter(ut: str | None, target: TargetOptions) -> int:
+    """Print what the upper tester has and keeps to; return the exit status."""
+    from dcp_conformance.execution.target import describe
+    from dcp_conformance.upper_tester.examination import Examination, table
+    from dcp_conformance.upper_tester.opening import open_upper
+
+    if ut is None:
+        raise UsageError("--check-adapter needs the upper tester: --ut unix:PATH, tcp:HOST:PORT or exec:COMMAND")
+    # The link is not used.
+    codec, _ = describe(replace(target, ut=None, start=None, stop=None, restart=None, pid=None))
+    upper = open_upper(ut, starting=False)
+    try:
+        found = Examination(upper, codec.profile, whole=True).walk()
+    finally:
+        upper.close()
+    for method, outcome, what in table(found):
+        click.echo(f"{method:<34}{outcome:<14}{plain(what)}".rstrip())
+    wrong = [each for each in found if each.outcome == "wrong"]
+    absent = [each for each in found if each.outcome == "absent"]
+    right = len([each for each in found if each.outcome == "right"])
+    click.echo(
+        f"{len(found)} methods and notifications: {right} keep to the contract, {len(wrong)} do not, {len(absent)} are "
+        "absent. The contract: conformance/UPPER-TESTER.md"
+    )
+    return 1 if wrong else 0

@@ -7,8 +7,8 @@ further fault must raise the log likelihood by a minimum, so that few faults are
 length).
 
 In a case that a fault makes fail, the observation speaks for the fault if it is the same as at a node with this fault
-except for numbers (:mod:`.observation`), and much less if it differs. One case with another observation is too little
-to assume a fault.
+(:mod:`.observation`), and much less if it differs or was not recorded there. One case with another observation is too
+little to assume a fault.
 
 A case in which nothing else failed than that the implementation ended or stopped answering shows no wrong behaviour.
 Only faults that crash a node can explain it, and they explain only cases that the implementation did not survive.
@@ -20,9 +20,9 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.case import DECLARED, DENIED, SANITY
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
-from dcp_conformance.model.survival import SURVIVAL, did_not_survive, only_died
+from dcp_conformance.model.survival import SURVIVAL, bad_checks, did_not_survive, only_died
 from dcp_conformance.model.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
@@ -75,6 +75,7 @@ def explain(
         failed=len(failed),
         unexplained=tuple(case for case in failed if case not in explained and not only_died(failed[case])),
         ended=tuple(case for case in failed if case not in explained and only_died(failed[case])),
+        stated=next((check for check in bad_checks(failed[SANITY]) if check.shown), None) if SANITY in failed else None,
     )
 
 
@@ -119,14 +120,14 @@ class _Search:
         return self._crashed if fault.crashes else self._behaved
 
     def _alike(self, fault: Fault) -> set[str]:
-        """Return the failed cases in which the observation is the same as with the fault, or was not recorded there."""
+        """Return the failed cases in which the observation is the same as with the fault."""
         expected = fault.fails & self._relevant(fault)
         if fault.crashes:
             return set(expected)
         known: dict[str, set[str]] = {}
         for case, digest in fault.observed:
             known.setdefault(case, set()).add(digest)
-        return {case for case in expected if case not in known or known[case] & self._observed[case]}
+        return {case for case in expected if known.get(case, set()) & self._observed[case]}
 
     def run(self) -> list[Fault]:
         """Return the most likely set of faults, in the order in which they were chosen."""
@@ -203,6 +204,9 @@ class _Search:
             missing=tuple(sorted(fault.fails & self._passed)),
             expected=len(fault.fails & decided),
             alike=len(self._alike(fault)),
+            named=sum(_names(self._failed[case], fault) for case in explains),
+            sole=len(chosen) == 1 and self._behaved | self._crashed <= set(explains),
+            signature=len(fault.fails),
             alternatives=tuple(self._faults[name].what for name in equal[:_ALTERNATIVES]),
             case=shown,
             check=check,
@@ -226,6 +230,12 @@ class _Search:
             return (not named, not shown, self._common[name], not frames, len(result.evidence), name)
 
         return min(explains, key=rank, default="")
+
+
+def _names(result: CaseResult, fault: Fault) -> bool:
+    """Return whether a failed check of the case names a requirement of the fault."""
+    named = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    return not named.isdisjoint(fault.requirements)
 
 
 def _described(fault: Fault, explains: Iterable[CaseResult]) -> str:

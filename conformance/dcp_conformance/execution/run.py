@@ -27,6 +27,7 @@ from dcp_conformance.model.results import CaseResult, Check, Diagnosis, RunResul
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import cases as invariants
 from dcp_conformance.passive import joined
+from dcp_conformance.upper_tester import Checked
 
 from .expected import ExpectedResults
 from .runner import Runner
@@ -65,6 +66,7 @@ class ConformanceRun:
         expected: Path | None = None,
         repeat: int = 1,
         until_fail: bool = False,
+        max_fails: int = 0,
         command: str = "",
         artefacts: Path | None = None,
         side_by_side: int = 0,
@@ -75,9 +77,9 @@ class ConformanceRun:
 
         ``on_start`` is called with the number of executions, ``on_result`` with each case, its result, and why the
         result is unexpected (empty if it is expected). ``expected`` is a file of expected results. ``repeat`` is the
-        number of repetitions of all cases; ``until_fail`` ends the run at the first fail. ``artefacts`` is a folder of
-        findings of the fuzzer, which become cases. ``side_by_side`` is the maximum number of concurrent cases; 0 or 1
-        executes them in succession.
+        number of repetitions of all cases. ``until_fail`` ends the run at the first fail, ``max_fails`` after so many
+        (0: never). ``artefacts`` is a folder of findings of the fuzzer, which become cases. ``side_by_side`` is the
+        maximum number of concurrent cases; 0 or 1 executes them in succession.
         """
         self.options = target
         self.cases = all_cases()
@@ -101,7 +103,8 @@ class ConformanceRun:
             else ExpectedResults.load(expected, [*self.cases.values(), *self._invariants.values()])
         )
         self.repeat = repeat
-        self.until_fail = until_fail
+        self.max_fails = 1 if until_fail else max_fails
+        self.until_fail = bool(self.max_fails)
         self.side_by_side = side_by_side
         self.command = command
         self.repeated_alone: dict[str, str] = {}
@@ -120,7 +123,7 @@ class ConformanceRun:
         """Whether a signal ended the run."""
         self.on_start = on_start
         self.on_wait: Callable[[str], None] = lambda _: None
-        """Called with a message while the run waits for the implementation to start."""
+        """Called with a message for the user: what the run waits for, and each fault of the adapter."""
         self._on_result = on_result
         self.on_revised: Callable[[CaseResult], None] | None = None
         self._runner: Runner | None = None
@@ -180,7 +183,7 @@ class ConformanceRun:
             if not self.open():
                 return
             rest = planned
-            if self.side_by_side > 1 and self.repeat == 1 and not self.until_fail:
+            if self.side_by_side > 1 and self.repeat == 1 and self.max_fails != 1:
                 rest = self._run_side_by_side(planned)
             for case in rest:
                 result, _ = self.run_case(case)
@@ -247,9 +250,16 @@ class ConformanceRun:
             self._runner = runner
             if not self.with_sanity:
                 runner.rerun += f" -x {SANITY}"
+            if isinstance(runner.session.upper, Checked):
+                runner.session.upper.faults.report = self.on_wait
             runner.prepare()
             if self.options.foreign and self.options.start:
                 runner.life.await_start(self.cases[SANITY], self.on_wait)
+            if self.options.foreign and isinstance(runner.session.upper, Checked):
+                runner.examine()
+            if self.options.foreign:
+                for text in runner.contradicted_claims(self.cases[SANITY]):
+                    self.on_wait(text)
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)
@@ -294,13 +304,13 @@ class ConformanceRun:
 
     def take(self, case: Case, result: CaseResult) -> str:
         """Add a result of this process or of a worker; return why it is unexpected (empty if it is expected)."""
-        if case.id == SANITY and any(each.id == SANITY for each in self.results):
-            # The repetition of the sanity case only checks that the implementation is alive: count it if it fails.
-            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
+        if case.id == SANITY and (earlier := {each.verdict for each in self.results if each.id == SANITY}):
+            # The repetition of the sanity case only checks that the implementation is alive: count a new failure.
+            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR) and result.verdict not in earlier
             result = msgspec.structs.replace(result, counted=counted)
         surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
         self.results.append(result)
-        if self._on_result is not None:
+        if self._on_result is not None and (result.counted or result.verdict is Verdict.PASS):
             self._on_result(case, result, surprise)
         return surprise
 
@@ -328,8 +338,12 @@ class ConformanceRun:
             self.on_revised(result)
 
     def stops(self, result: CaseResult) -> bool:
-        """Return whether the run ends after this result, because of ``until_fail``."""
-        self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
+        """Return whether the run ends after this result, because of ``max_fails``."""
+        if self.max_fails and not self._stopped and result.verdict in (Verdict.FAIL, Verdict.ERROR):
+            fails = len({each.id for each in self.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)})
+            self._stopped = fails >= self.max_fails
+            if self._stopped and self.max_fails > 1:
+                self._notes.append(f"ended after {fails} failed cases (--max-fails)")
         return self._stopped
 
     def interrupt(self, done: int, planned: int) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import traceback
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import msgspec
 from dcp_spec.parameters import parameters
 
-from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.errors import ContractError, UpperTesterError
 from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
+from dcp_conformance.interconnection.claims import contradictions
 from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not
@@ -22,6 +24,8 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester import Checked
+from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
@@ -42,8 +46,6 @@ _ALIVE = "the implementation is alive"
 MOST_EXECUTIONS = 6
 #: Number of further executions in which a failure must recur that lateness may explain.
 CONFIRMATIONS = 2
-#: The JSON-RPC code for an internal error.
-_INTERNAL_ERROR = -32603
 
 
 class _Done(NamedTuple):
@@ -106,7 +108,9 @@ class Runner:
     @property
     def notes(self) -> list[str]:
         """Notes on the run as a whole, for the results."""
-        found = list(self.remarks)
+        upper = self.session.upper
+        found = [str(each) for each in upper.faults.found.values()] if isinstance(upper, Checked) else []
+        found += self.remarks
         if self._not_restored and not self._restartable:
             found.append(left_changed(self._not_restored))
         if self._renewals:
@@ -143,10 +147,41 @@ class Runner:
         known = parameters()
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
             if method in upper.methods:
-                answer = upper.call(method, {})
+                try:
+                    answer = upper.call(method, {})
+                except ContractError:
+                    continue
                 reported = answer.result.get("parameters")
                 if answer.ok and isinstance(reported, dict):
                     session.parameters.update({name: value for name, value in reported.items() if name in known})
+
+    def examine(self) -> None:
+        """Check before the first case whether the upper tester keeps to its contract; its faults are notes."""
+        upper = self.session.upper
+        if upper is None or "UT-Reset" not in upper.methods:
+            return
+        from dcp_conformance.upper_tester.examination import Examination
+
+        try:
+            Examination(upper, self.session.codec.profile, whole=self._restartable).walk()
+        except UpperTesterError as error:
+            self.remarks.append(f"the examination of the upper tester ended early: {error}")
+        lost = isinstance(upper, Checked) and upper.faults.forgets_protocols
+        if self._restartable and (lost or self.life.ended()):
+            assert self.control is not None
+            self.control.restart()
+        self._reset()
+
+    def contradicted_claims(self, case: Case) -> list[str]:
+        """Listen for some beacons, and return the claims of the PICS that they or the upper tester contradict."""
+        session = self.session
+        bench = Bench(session, case)
+        with suppress(UpperTesterError):
+            bench.beacons(5, 8)
+        about = session.upper.about if session.upper is not None else {}
+        found = list(contradictions(session.pics, bench, session.parameters, about))
+        self.remarks += found
+        return found
 
     def about(self) -> Sut:
         """Return the description of the implementation for the results."""
@@ -348,7 +383,8 @@ class Runner:
                 bench.verdicts.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, why))
                 return trial
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
-            run_body(trial)
+            with self._believed(trial):
+                run_body(trial)
         self._note_hang_up(trial)
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
         # Silence after the last stimulus leaves a doubt, whatever the verdict.
@@ -364,6 +400,25 @@ class Runner:
             self._unsettled = True
             self._not_restored.setdefault(case.id, bench.restoration.restore_failure)
         return trial
+
+    @contextmanager
+    def _believed(self, trial: Trial) -> Iterator[None]:
+        """Leave failures undecided if a message of the upper tester could not be used in the block."""
+        upper = self.session.upper
+        before = upper.faults.unusable if isinstance(upper, Checked) else 0
+        try:
+            yield
+        finally:
+            if isinstance(upper, Checked) and upper.faults.unusable > before:
+                why = "but a message of the adapter broke the contract of the upper tester in this case"
+                trial.checks[:] = [
+                    msgspec.structs.replace(
+                        check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; {why}", shown=False
+                    )
+                    if check.verdict is Verdict.FAIL
+                    else check
+                    for check in trial.checks
+                ]
 
     def _measure(self) -> None:
         """Measure the reaction time before the first case, and a second time once the implementation has answered."""
@@ -435,6 +490,26 @@ class Runner:
         self.remember(trial, result, self.session.lower.now())
         return result
 
+    def tried_alone(self, case: Case) -> CaseResult | None:
+        """Execute a case alone in which the implementation may have ended while others were executed beside it.
+
+        Return its result if it passes, or if the implementation ends again, which confirms the first end; otherwise
+        None. An implementation that has ended is restarted.
+        """
+        if self.dead:
+            return None
+        trial = self._trial(case)
+        if trial.loss is None:
+            good = trial.verdict is Verdict.PASS and not trial.bench.restoration.restore_failure
+            return self._result(trial, 1, trial.checks) if good and not trial.disturbed else None
+        self._recent.clear()
+        died = trial.loss.died
+        if died:
+            self._count_death(trial)
+        result = self._result(trial, 1, blamed(trial), killed=True)
+        self._revive(case, trial)
+        return msgspec.structs.replace(result, death=trial.loss.group) if died else None
+
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
         """Remember a case that passed side by side and ended at ``ended`` (ns): it may cause a later death."""
         self._recent.append(_Done(trial, result, ended))
@@ -453,7 +528,7 @@ class Runner:
         named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
         many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
         text = f"while {many} executed side by side ({named}), the implementation {loss.summary}"
-        self.remarks.append(f"{text}. Each of these cases is executed alone")
+        self.remarks.append(f"{text}. These cases were executed again")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"
             return self.dead
@@ -561,11 +636,28 @@ class Runner:
             self._forget()
             if self.session.short_period is not None:
                 self.session.short_period.renew()
+            self._restore_parameters()
             if case is not None:
                 self._readiness.wait(case)
+                if self._readiness.lost and not self._restartable:
+                    self.dead = "UT-Reset did not restore VarDis, and there is no command to restart the implementation"
+                    raise UpperTesterError(self.dead)
         elif mode == "restart" and self.control is not None:
             self.control.restart()
             self._forget()
+
+    def _restore_parameters(self) -> None:
+        """Set parameters to their initial values, if UT-Reset does not do so."""
+        upper = self.session.upper
+        if not isinstance(upper, Checked) or not upper.faults.forgets_parameters:
+            return
+        for protocol in ("BP", "SRP", "VD"):
+            if not {f"{protocol}-GetParameters", f"{protocol}-SetParameter"} <= upper.methods:
+                continue
+            now = upper.call(f"{protocol}-GetParameters", {}).result.get("parameters", {})
+            for name, value in now.items():
+                if (initial := self.session.parameters.get(name, value)) != value:
+                    upper.call(f"{protocol}-SetParameter", {"name": name, "value": initial})
 
     def _forget(self) -> None:
         """Clear the session's knowledge about the implementation's state, which is the initial state again."""
@@ -589,4 +681,4 @@ class Runner:
 def _reports_internal_error(bench: Bench) -> bool:
     """Return whether a service answered with an internal error, whose cause may persist."""
     answers = (event.data for event in bench.traffic.events if event.direction == "answer")
-    return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)
+    return any(isinstance(data, dict) and data.get("code") == INTERNAL_ERROR for data in answers)

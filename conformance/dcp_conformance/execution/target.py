@@ -263,6 +263,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     upper = None
     if options.ut is not None:
         from dcp_conformance.upper_tester.opening import open_upper
+        from dcp_conformance.upper_tester.stream import StreamUpperTester
 
         try:
             upper = open_upper(options.ut, _patience(pics), starting=process is not None)
@@ -273,6 +274,8 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             raise
         if process is not None:
             process.after_restart.append(upper.reconnect)
+            if isinstance(upper, StreamUpperTester):
+                upper.gone = lambda: process.alive() is False
     return _session(options, codec, pics, lower, upper), control, []
 
 
@@ -301,6 +304,8 @@ def require_answer(runner: Runner, say: Callable[[str], None]) -> None:
 
     session, case = runner.session, next(cases_of(sanity))
     why = runner.life.await_start(case, say) if runner.control is not None else ""
+    for text in runner.contradicted_claims(case):
+        say(text)
     bench = Bench(session, case)
     if not bench.beacons(1, 5) and not bench.probes.probe(10) and not bench.heard:
         why = why or "neither its beacons nor reactions arrive there"

@@ -48,6 +48,9 @@ OWNERS: Final[Mapping[Stimulus, frozenset[str]]] = {
 ON_THE_AIR: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request", "transmit", "state", "variable"})
 """Kinds of stimulus that are answered with beacons."""
 
+BEGINNING: Final = ("when the run began", "from the start of the run on")
+"""Ends of excuses by what was found at the start of a run."""
+
 _QUESTIONS: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request"})
 _VARDIS: Final = _QUESTIONS | {"variable", "other"}
 _SERVICES: Final[Mapping[str, Stimulus]] = {
@@ -113,6 +116,11 @@ class Contact:
         """The kind of stimulus for probes of VarDis: one that it answers, if there is one."""
         kinds: tuple[Question, ...] = ("summary", "create", "request")
         return next((kind for kind in kinds if kind in self.answered), "summary")
+
+    def mute(self, entities: Collection[str]) -> bool:
+        """Return whether one of these entities has answered nothing."""
+        silent = {"vardis": self.unanswered >= _QUESTIONS, "srp": "report" in self.unanswered}
+        return any(silent.get(each, False) for each in entities)
 
     def answers(self) -> str:
         """Describe which kinds of stimulus are answered and which are not."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Testing
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Cause, Failure, Known, Misread, Question
 from dcp_conformance.test_system.session import FLOOR, Session
+from dcp_conformance.upper_tester.patience import NEVER
 
 from . import extraction, layouts
-from .contact import Contact
+from .contact import BEGINNING, Contact
 from .notifications import notification_delay
 from .reaction import measure
 
@@ -67,6 +70,18 @@ class Findings(Known):
             )
         for text in self.misread.values():
             yield f"{text}: consequences of that in other cases are inconclusive"
+
+
+def stands(session: Session, case: Case, checks: Iterable[Check]) -> bool:
+    """Return whether another execution of an inconclusive case cannot decide it.
+
+    That is so if what was missing was missing at the start of the run, or is a service that is never answered.
+    """
+    undecided = [check.observed for check in checks if check.verdict is Verdict.INCONCLUSIVE]
+    contact = Findings.of(session).contact
+    if contact is not None and contact.mute(case.needs.entities):
+        return True
+    return bool(undecided) and all(any(each in text for each in (*BEGINNING, NEVER)) for text in undecided)
 
 
 def prepare(session: Session) -> bool:

@@ -11,6 +11,8 @@ import msgspec
 
 from .verdict import Verdict
 
+#: Minimum number of cases for a statement about a fault without "probably".
+_SEVERAL = 3
 SCHEMA = "dcp-conformance-results/1"
 Table = Literal["conformance", "robustness"]
 
@@ -123,7 +125,13 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     expected: int
     """The number of decided cases that should fail with this fault."""
     alike: int = 0
-    """The number of explained cases in which the same was observed as at a node with this fault, except numbers."""
+    """The number of explained cases in which the same was observed as at a node with this fault."""
+    named: int = 0
+    """The number of explained cases in which a failed check names a requirement of this fault."""
+    sole: bool = False
+    """Whether it accounts for all failures of the run."""
+    signature: int = 0
+    """The number of cases that fail for a node with only this fault, if all are run."""
     alternatives: tuple[str, ...] = ()
     """Other faults with the same consequences in this run."""
     case: str = ""
@@ -146,8 +154,14 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def certain(self) -> bool:
-        """Whether several cases fail as with this fault, with the same observation, and all that should fail did."""
-        return len(self.explains) > 1 and self.alike == len(self.explains) and not self.missing
+        """Whether nothing speaks against this fault.
+
+        At least half of the cases that it makes fail were decided. All of them failed with the same observation, which
+        names its requirement; nothing else failed, and no other known fault is as likely.
+        """
+        whole = len(self.explains) >= _SEVERAL and 2 * self.expected >= self.signature and not self.missing
+        same = len(self.explains) == self.alike == self.named
+        return whole and same and self.sole and not self.alternatives
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
@@ -162,6 +176,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     ended: tuple[str, ...] = ()
     """Cases in which nothing else failed than that the implementation ended or stopped answering, and that no probable
     fault accounts for. They show no other fault."""
+    stated: Check | None = None
+    """The failed check of the sanity case, which states by itself what is wrong: most other failures follow from it."""
 
 
 class Sut(msgspec.Struct, frozen=True, kw_only=True):

@@ -61,6 +61,12 @@ def diagnosed(run: RunResult) -> str:
     return "; ".join(filter(None, [text, ended, unexplained]))
 
 
+def stated(run: RunResult) -> str:
+    """Return what the sanity case states by itself: a fault from which most others follow; empty without any."""
+    check = run.diagnosis.stated if run.diagnosis is not None else None
+    return f"first of all: expected {check.expected}; observed {check.observed}" if check is not None else ""
+
+
 def sentence(fault: Probable) -> str:
     """Return what a probable fault says about the implementation.
 

@@ -9,6 +9,14 @@ from dcp_conformance.stateful.corpus import Sequence, corpus
 from dcp_conformance.stateful.judged import judge
 from dcp_conformance.test_system.bench import Bench
 
+#: More places in queues, and more clients, than the sequences need.
+_PLACES, _CLIENTS = 300, 8
+
+
+def _limits(bench: Bench) -> str | None:
+    """Return why the model of a node without limits cannot judge the implementation, or None; for ``Needs.when``."""
+    return bench.sut.lacks("queue_entries", _PLACES) or bench.sut.lacks("clients", _CLIENTS) or None
+
 
 def _variants() -> dict[str, Variant]:
     """Return a variant for each sequence."""
@@ -17,7 +25,7 @@ def _variants() -> dict[str, Variant]:
     for each in corpus().sequences:
         counts[each.theme] += 1
         name = f"{each.theme}-{counts[each.theme]:02}"
-        needs = Needs(ut=each.methods, entities=())
+        needs = Needs(ut=each.methods, entities=(), when=_limits)
         found[name] = Variant(each, requirements=" ".join(each.requirements), needs=needs)
     return found
 

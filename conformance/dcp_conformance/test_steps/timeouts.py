@@ -100,9 +100,22 @@ def not_by_consumers(bench: Bench, name: int) -> None:
     """Report the other reading of X26, by which only producers scrub, if the variable still exists."""
     still = bench.until_instruction(ICType.SUMMARIES, name, 8)
     if still:
-        bench.reading("X26", "producer-only")
+        scrubs(bench, by_consumers=False)
     text = "no: it is still summarised" if still else "unknown: neither a VarDelete nor a summary"
     bench.info("Does a consumer delete a variable after its timeout?", text)
+
+
+def scrubs(bench: Bench, *, by_consumers: bool) -> None:
+    """Report which nodes scrub a variable (X26). Fails and stops the case if an earlier case of the run refutes it."""
+    session = bench.session
+    if by_consumers:
+        session.consumer_scrubs = session.consumer_scrubs or bench.case.id
+        bench.reading("X26", "every-node")
+    elif earlier := session.consumer_scrubs:
+        what = f"a VarDelete after the timeout by a consumer, as in {earlier}"
+        bench.missing(what, "the variable is still summarised", "VD-SCR-01", "VD-SCR-05")
+    else:
+        bench.reading("X26", "producer-only")
 
 
 def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Change:

@@ -75,6 +75,14 @@ class Known:
     """The container of a payload that the implementation loses, "first" or "second"; empty if none."""
 
     @property
+    def processing(self) -> float:
+        """Number of beacon periods after which a frame that was sent has been processed: the slowest measured answer.
+
+        It includes the wait for a beacon.
+        """
+        return max(0.5, *self.reaction.samples)
+
+    @property
     def question(self) -> Question:
         """The kind of stimulus for probes of VarDis."""
         return "summary"

@@ -52,6 +52,8 @@ class Session:
         self.seed = seed
         self.sut_id: bytes | None = None
         """The implementation's node identifier, once it is known."""
+        self.sut_address: bytes | None = None
+        """The source address of its last frame: no station of the tester has it."""
         self.parameters: dict[str, Any] = {}
         """Initial values of parameters, as the upper tester reports them."""
         self.known = Known()
@@ -95,6 +97,8 @@ class Session:
         """Whether a case is executed beside others, whose payloads share the beacons with its own."""
         self.notifications = 0
         """The time in ns by which notifications are late."""
+        self.consumer_scrubs = ""
+        """The first case in which the implementation has scrubbed a variable of another node (X26)."""
         self.pausing_fails = False
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
         self.keeps_payloads: bool | None = None
@@ -125,6 +129,7 @@ class Session:
         ``case``: identifier of the case that has received it, and ``traffic`` its recording. ``departure``: see
         :meth:`dcp_conformance.test_system.identifiers.allocation.Identifiers.departure`.
         """
+        self.sut_address = heard.source
         self.counting.heard(heard.seqno)
         self.foreign_reports.heard(heard.report, arrival.time)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)

@@ -128,12 +128,6 @@ class SutProperties:
         return max(1.0, self._reaction_periods / FLOOR)
 
     @property
-    def processing(self) -> float:
-        """Number of beacon periods after which a frame that was sent has been processed: the slowest measured answer,
-        which includes the wait for a beacon."""
-        return max(0.5, *self._facts.known.reaction.samples)
-
-    @property
     def ahead(self) -> int:
         """Number of beacons that may be sent before one shows a reaction: payloads are composed in advance."""
         return max(2, math.ceil(max(self._facts.known.reaction.samples, default=0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Final, Protocol
 
 import msgspec
@@ -13,6 +14,12 @@ NOT_A_VALUE: Final = -32001
 NO_RESPONSE: Final = -32002
 #: Errors with which the implementation itself has answered: it made a mistake, refuses a value, or keeps silent.
 _OF_THE_IMPLEMENTATION: Final = frozenset({INTERNAL_ERROR, NOT_A_VALUE, NO_RESPONSE})
+
+#: Messages of exceptions that a JSON-RPC library sends with -32603 for an adapter that cannot reach its implementation.
+_UNREACHABLE: Final = re.compile(
+    r"connect|refused|broken pipe|reset by peer|no such file|unreachable|timed? ?out|\bEOF\b|ECONN|EPIPE|not running",
+    re.IGNORECASE,
+)
 
 
 def known_status(status: str) -> bool:
@@ -51,7 +58,12 @@ class Answer(msgspec.Struct, frozen=True):
     @property
     def asked(self) -> bool:
         """Whether the implementation itself has answered, and not the upper tester, which could not ask it."""
-        return self.code is None or self.code in _OF_THE_IMPLEMENTATION
+        return self.code is None or (self.code in _OF_THE_IMPLEMENTATION and not self.unreachable)
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether an internal error shows only that the adapter cannot reach the implementation."""
+        return self.code == INTERNAL_ERROR and _UNREACHABLE.search(self.message) is not None
 
     def is_status(self, status: str) -> bool:
         """Whether this is the status; hyphens and underscores are equal."""

@@ -9,6 +9,7 @@ import msgspec
 from dcp_conformance.errors import UpperTesterError
 
 from .base import Answer, Notification
+from .faults import shown
 
 
 def request_line(number: int, method: str, params: dict[str, Any]) -> bytes:
@@ -22,10 +23,10 @@ def answer_of(message: dict[str, Any]) -> Answer:
     if isinstance(error, dict):
         code, text = error.get("code"), error.get("message")
         if not isinstance(code, int) or not isinstance(text, str):
-            raise UpperTesterError(f"an error without code or message: {_shown(message)}")
+            raise UpperTesterError(f"an error without code or message: {shown(message)}")
         return Answer(code=code, message=text, data=error.get("data"))
     if not isinstance(result, dict) or not isinstance(result.get("status"), str):
-        raise UpperTesterError(f"a result without a status: {_shown(message)}")
+        raise UpperTesterError(f"a result without a status: {shown(message)}")
     return Answer(result["status"], result)
 
 
@@ -33,10 +34,5 @@ def notification_of(message: dict[str, Any], time: int) -> Notification:
     """A notification. Raises ``UpperTesterError`` for one that is against the contract."""
     method, params = message.get("method"), message.get("params", {})
     if not isinstance(method, str) or not isinstance(params, dict):
-        raise UpperTesterError(f"neither a response nor a notification: {_shown(message)}")
+        raise UpperTesterError(f"neither a response nor a notification: {shown(message)}")
     return Notification(method, params, time)
-
-
-def _shown(message: Any) -> str:
-    text = msgspec.json.encode(message).decode()
-    return text if len(text) <= 200 else f"{text[:200]}..."

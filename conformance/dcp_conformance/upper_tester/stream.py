@@ -10,21 +10,29 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import msgspec
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.common.printable import printable
-from dcp_conformance.errors import NoAnswerError, UpperTesterError
+from dcp_conformance.errors import ContractError, CouldNotAskError, UpperTesterError
 
 from .base import METHOD_NOT_FOUND, Answer, Notification
 from .channels import Channel
+from .faults import Faults, Violation, shown
 from .jsonrpc import answer_of, notification_of, request_line
+from .patience import Patience
 
 #: Notifications that wait to be taken; beyond that the oldest are dropped.
 MOST_NOTIFICATIONS = 10_000
 #: A notification of the tester's own, in the place of dropped ones: ``{"number": how many}``.
 DROPPED = "TESTER-NotificationsDropped"
+_DEREGISTER: Final = "BP-DeregisterProtocol"
+_OWN: Final = (BP_PROTID_SRP, BP_PROTID_VARDIS)
+#: Seconds between two looks whether the implementation has ended, and for an attempt to connect after a failed one.
+_LOOK, _AGAIN = 0.1, 0.2
+_ENDED: Final = "the implementation has ended"
 #: Seconds that taking notifications may last.
 _POLL = 0.5
 #: Members that the result of UT-Hello must have beside its status.
@@ -45,22 +53,34 @@ class StreamUpperTester:
         *,
         several: bool = True,
         connecting: float | None = None,
+        faults: Faults | None = None,
     ) -> None:
         """``connect`` opens a channel, trying for so many s; ``several``: there can be more than one at a time.
 
-        ``connecting``: s to try the first time, by default the patience.
+        ``connecting``: s to try the first time, by default the patience. ``faults``: those of the adapter, which all of
+        its connections share.
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
+        # Imported here, because no other module of an upper tester needs the types of all messages.
+        from .contract import Contract
+
         self.name = name
+        self.faults = Faults() if faults is None else faults
+        self._contract = Contract(self.faults)
         self.about: dict[str, Any] = {}
         self.methods: frozenset[str] = frozenset()
         self._connect = connect
-        self._patience = patience
+        self._patience = Patience(patience)
+        self.gone: Callable[[], bool] | None = None
+        """Tells whether the implementation is known to have ended, so that nothing is waited for; None: unknown."""
+        self._unreachable = False
+        """Whether the last attempt to connect again failed."""
         self._several = several
         self._channel: Channel | None = None
         self._last_id = 0
-        self._given_up: set[int] = set()
+        self._given_up: dict[int, str] = {}
+        """The methods of requests whose answers are not waited for any more, by their numbers."""
         self._notifications: deque[Notification] = deque()
         self._dropped = 0
         self._closed = False
@@ -73,7 +93,10 @@ class StreamUpperTester:
         if self._closed:
             raise UpperTesterError(f"{self.name}: it has been closed")
         if self._channel is None:
-            self.reconnect()
+            # Calls that wait while nothing listens fail together.
+            self._connect_again(_AGAIN if self._unreachable else self._patience.seconds)
+        if self.faults.forgets_protocols and method == _DEREGISTER and params.get("protId") in _OWN:
+            raise CouldNotAskError(f"{self.name}: {self.faults.forgets_protocols}")
         return self._call(method, params)
 
     def poll(self) -> list[Notification]:
@@ -98,7 +121,11 @@ class StreamUpperTester:
 
     def another(self) -> StreamUpperTester | None:
         """A second connection; None for standard streams."""
-        return StreamUpperTester(self.name, self._connect, self._patience) if self._several else None
+        if not self._several:
+            return None
+        other = StreamUpperTester(self.name, self._connect, self._patience.seconds, faults=self.faults)
+        other.gone = self.gone
+        return other
 
     def close(self) -> None:
         """End the connection."""
@@ -112,11 +139,31 @@ class StreamUpperTester:
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
-        self._open(self._patience)
+        self._connect_again(self._patience.seconds)
+
+    def _connect_again(self, seconds: float) -> None:
+        self._unreachable = True
+        self._open(seconds)
+        self._unreachable = False
+
+    def _opened(self, seconds: float) -> Channel:
+        """Open a channel, trying for so many seconds at the most, while the implementation runs."""
+        if self.gone is None:
+            return self._connect(seconds)
+        deadline = time.monotonic() + seconds
+        while True:
+            if self.gone():
+                raise UpperTesterError(f"{self.name}: {_ENDED}")
+            left = deadline - time.monotonic()
+            try:
+                return self._connect(max(0.0, min(_AGAIN, left)))
+            except UpperTesterError:
+                if left <= 0:
+                    raise
 
     def _open(self, connecting: float) -> None:
         self._drop()
-        self._channel = self._connect(connecting)
+        self._channel = self._opened(connecting)
         try:
             self._ask_nonsense()
             self._greet()
@@ -160,7 +207,8 @@ class StreamUpperTester:
         channel = self._channel
         assert channel is not None
         self._last_id += 1
-        deadline = time.monotonic() + self._patience
+        begun, patience = time.monotonic(), self._patience.of(method)
+        deadline = begun + patience
         try:
             channel.send(request_line(self._last_id, method, params), deadline)
         except UpperTesterError:
@@ -170,26 +218,33 @@ class StreamUpperTester:
             # Notifications without end do not extend the timeout.
             message = self._message(channel, deadline) if time.monotonic() < deadline else None
             if message is None:
-                self._given_up.add(self._last_id)
-                raise NoAnswerError(
-                    f"{self.name}: {method} was not answered within {self._patience:g} s; does the implementation hang?"
-                )
+                self._given_up[self._last_id] = method
+                raise self._patience.unanswered(method, f"{self.name}: {method}", patience)
             if message.get("id") != self._last_id or "method" in message:
                 self._stray(message)
+                if self._notifications and "method" in message:
+                    self._contract.early(method, params, self._notifications[-1])
                 continue
+            self._patience.answered(method, begun)
             try:
                 answer = answer_of(message)
                 if method.startswith("UT-") and answer.code is None and not answer.known:
                     # Methods of the contract itself, which an adapter answers.
                     raise UpperTesterError(f"answers with the status {answer.status!r}; UT-STATUS-OK is the only one")
             except UpperTesterError as error:
-                raise UpperTesterError(f"{self.name}: {method}: {error}") from None
-            return answer
+                # Not a lost connection: the next answer may be right.
+                self.faults.add(Violation(method, str(error), "Values"))
+                raise ContractError(f"{self.name}: {method}: {error}") from None
+            return self._contract.answer(method, params, message, answer)
 
     def _message(self, channel: Channel, deadline: float) -> dict[str, Any] | None:
         """The next message; None at the deadline. Raises ``UpperTesterError`` for what is none."""
         try:
-            line = channel.line(deadline)
+            line = channel.line(min(deadline, time.monotonic() + _LOOK))
+            while line is None and time.monotonic() < deadline:
+                if self.gone is not None and self.gone():
+                    raise UpperTesterError(f"{self.name}: {_ENDED}")
+                line = channel.line(min(deadline, time.monotonic() + _LOOK))
         except UpperTesterError:
             # Ended, or out of step for good.
             self._drop()
@@ -199,12 +254,12 @@ class StreamUpperTester:
         try:
             message = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            shown = printable(line[:200].decode(errors="replace"))
+            text = printable(line[:200].decode(errors="replace"))
             raise UpperTesterError(
-                f"{self.name}: sends a line that is not JSON ({error}): {shown}; only messages may stand on its output"
+                f"{self.name}: sends a line that is not JSON ({error}): {text}; only messages may stand on its output"
             ) from None
         if not isinstance(message, dict):
-            raise UpperTesterError(f"{self.name}: sends JSON that is not a message: {_shown(message)}")
+            raise UpperTesterError(f"{self.name}: sends JSON that is not a message: {shown(message)}")
         return message
 
     def _stray(self, message: dict[str, Any]) -> None:
@@ -215,26 +270,24 @@ class StreamUpperTester:
         if "method" not in message:
             number = message.get("id")
             if isinstance(number, int) and number in self._given_up:
-                self._given_up.discard(number)
+                self._patience.late(self._given_up.pop(number))
                 return
             raise UpperTesterError(
-                f"{self.name}: answers with the id {_shown(number)}, which no request that waits has: {_shown(message)}"
+                f"{self.name}: answers with the id {shown(number)}, which no request that waits has: {shown(message)}"
             )
         if message.get("id") is not None:
             raise UpperTesterError(
-                f"{self.name}: sends a request instead of answering one: {_shown(message)}; is it an echo, as of a "
+                f"{self.name}: sends a request instead of answering one: {shown(message)}; is it an echo, as of a "
                 "terminal (ssh -t)?"
             )
+        now = time.monotonic_ns()
         try:
-            notification = notification_of(message, time.monotonic_ns())
+            notification = notification_of(message, now)
         except UpperTesterError as error:
             raise UpperTesterError(f"{self.name}: {error}") from None
+        checked = self._contract.notification(notification.method, notification.params, message)
+        notification = msgspec.structs.replace(checked, time=now)
         if len(self._notifications) >= MOST_NOTIFICATIONS:
             self._notifications.popleft()
             self._dropped += 1
         self._notifications.append(notification)
-
-
-def _shown(value: Any) -> str:
-    text = msgspec.json.encode(value).decode()
-    return text if len(text) <= 200 else f"{text[:200]}..."

@@ -10,14 +10,14 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
-from mcap.opcode import Opcode
-
 from dcp_codec.capture.checksum import crc32
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
 _MAGIC_LENGTH = 8
 _PLACE = struct.Struct("<QQ")  # offset and length of a record with its head
+#: Opcodes: the list of attachments does not need the mcap library.
+_SCHEMA, _CHANNEL, _CHUNK_INDEX, _ATTACHMENT_INDEX = 0x03, 0x04, 0x08, 0x0A
 #: Octets before the place of a chunk in a record of the index.
 _TIMES = 16
 #: Maximum length of an index that is held in memory, in octets.
@@ -72,11 +72,11 @@ def _parsed(summary: bytes) -> Index:
         position += _RECORD_HEAD.size + length
         if len(content) < length:
             break
-        if opcode == Opcode.CHUNK_INDEX and length >= _TIMES + _PLACE.size:
+        if opcode == _CHUNK_INDEX and length >= _TIMES + _PLACE.size:
             chunks.append(Place(*_PLACE.unpack_from(content, _TIMES)))
-        elif opcode == Opcode.ATTACHMENT_INDEX and length >= _PLACE.size:
+        elif opcode == _ATTACHMENT_INDEX and length >= _PLACE.size:
             attachments.append(Place(*_PLACE.unpack_from(content)))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode in (_SCHEMA, _CHANNEL):
             descriptions.append((opcode, content))
     return Index(tuple(sorted(chunks)), tuple(sorted(attachments)), tuple(descriptions))
 

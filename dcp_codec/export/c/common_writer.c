@@ -1,26 +1,8 @@
-static bool refuse(dcp_writer_t *w, dcp_fault_t fault)
-{
-    w->fault = fault;
-    return false;
-}
-
-/* Copy octets, which must not overlap; without data: zeros. */
-static inline void copy(uint8_t *restrict to, const uint8_t *restrict data, size_t size)
-{
-    size_t i;
-    if (data != NULL)
-        for (i = 0; i < size; i++)
-            to[i] = data[i];
-    else
-        for (i = 0; i < size; i++)
-            to[i] = 0;
-}
-
 static bool put_octets(dcp_writer_t *w, dcp_octets_t octets)
 {
     if (w->size - w->at < octets.size)
-        return refuse(w, DCP_FAULT_NO_ROOM);
-    copy(w->octets + w->at, octets.data, octets.size);
+        return dcp_refuse(w, DCP_FAULT_NO_ROOM);
+    dcp_copy(w->octets + w->at, octets.data, octets.size);
     w->at += octets.size;
     return true;
 }

@@ -25,19 +25,23 @@ def codec_files(codec: Codec) -> dict[str, str]:
 
     Raises ``ValueError`` if two members of a record would get the same name.
     """
-    shape, scalars = shape_of(codec), Scalars()
-    reading = Reading(shape, scalars).all()
-    writing = Writing(shape, scalars).all()
+    shape, scalars, shared = shape_of(codec), Scalars(), Scalars()
+    reader, writer = Reading(shape, scalars, shared), Writing(shape, scalars, shared)
+    body = f"{template('common.c')}\n{reader.all()}\n{template('common_writer.c')}\n{writer.all()}"
+    inline = f"{template('common_inline.h')}\n{reader.inline()}\n{writer.inline()}"
     first = heading(codec.profile, __version__)
-    body = f"{template('common.c')}\n{reading}\n{template('common_writer.c')}\n{writing}"
     identifiers = sorted(set(_ENUMERATOR.findall(body)))
-    header = _HEADER.replace("@HEADING@", first)
-    header = header.replace("@COMMON@", _common(identifiers))
-    header = header.replace("@CONSTANTS@", "\n".join(constants(shape)))
-    header = header.replace("@STRUCTURES@", Structures(shape, codec.profile).text())
-    header = header.replace("@DECLARATIONS@", declarations(shape))
-    names = _names(identifiers)
-    source = f'{first}\n#include "dcp_codec.h"\n\n{names}\n{scalars.helpers()}\n{body}'
+    header = _HEADER
+    for mark, text in {
+        "@HEADING@": first,
+        "@COMMON@": _common(identifiers),
+        "@CONSTANTS@": "\n".join(constants(shape)),
+        "@STRUCTURES@": Structures(shape, codec.profile).text(),
+        "@DECLARATIONS@": declarations(shape).rstrip(),
+        "@INLINE@": f"{shared.helpers()}\n{inline}".rstrip(),
+    }.items():
+        header = header.replace(mark, text)
+    source = f'{first}\n#include "dcp_codec.h"\n\n{_names(identifiers)}\n{scalars.helpers(shared)}\n{body}'
     return {"dcp_codec.h": header, "dcp_codec.c": source.rstrip() + "\n"}
 
 
@@ -90,6 +94,10 @@ extern "C" {
 /* The names of a reason and of a requirement in the test kit: "zero-length", "BP-RX-03" ("": none). */
 const char *dcp_reason_name(dcp_reason_t reason);
 const char *dcp_requirement_name(dcp_requirement_t requirement);
+
+/* Records of containers are read and added by functions that compilers can inline. */
+
+@INLINE@
 
 #ifdef __cplusplus
 }

@@ -130,9 +130,6 @@ def declarations(shape: Shape) -> str:
             f"{' ' * (len(name) + 15)}dcp_problem_t *problem);\n"
         )
     read.append(_READ_CONTAINERS)
-    for record in shape.all_records():
-        name = stem(record.group)
-        read.append(f"bool dcp_next_{name}(dcp_list_t *records, dcp_{name}_t *record);")
     header = "" if shape.header is None else f", const dcp_{stem(shape.header.group)}_t *bp"
     write.append(f"bool dcp_begin_beacon(dcp_writer_t *w{header});")
     write.append(_WRITE_PAYLOADS)
@@ -140,9 +137,6 @@ def declarations(shape: Shape) -> str:
         name = stem(shape.srp.group)
         write.append(f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *report);")
     write.append(_WRITE_CONTAINERS)
-    for record in shape.all_records():
-        name = stem(record.group)
-        write.append(f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *record);")
     return "\n".join([*read, "", *write])
 
 
@@ -174,8 +168,7 @@ dcp_list_t dcp_containers(const uint8_t *octets, size_t size);
 /* Read the next container and check all its records. False: there is none (problem->reason is DCP_OK), or the rest is
  * wrong. Offsets of problems count from the first octet of the content. */
 bool dcp_next_container(dcp_list_t *containers, dcp_container_t *container, dcp_problem_t *problem);
-
-/* Read the next record of a container of this type. False: there is none. */"""
+"""
 _WRITE = """/* Begin to write into a buffer. */
 void dcp_write_to(dcp_writer_t *w, uint8_t *octets, size_t size);
 
@@ -188,6 +181,4 @@ bool dcp_end_payload(dcp_writer_t *w, const dcp_payload_t *payload);
  * beacon around them. Pointers that are null stand for zeros. */
 bool dcp_add_octets(dcp_writer_t *w, const uint8_t *octets, size_t size);"""
 _WRITE_CONTAINERS = """bool dcp_begin_container(dcp_writer_t *w, const dcp_container_t *container);
-bool dcp_end_container(dcp_writer_t *w);
-
-/* Add a record to a container of its type. False: it does not fit; the container can still be ended without it. */"""
+bool dcp_end_container(dcp_writer_t *w);"""

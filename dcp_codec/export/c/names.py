@@ -67,7 +67,9 @@ def cite(identifier: str | None) -> str:
 def plain(text: str) -> str:
     """Return a text of a profile as it may stand in a comment."""
     ascii_only = " ".join(text.split()).encode("ascii", "replace").decode()
-    return ascii_only.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")
+    return (
+        ascii_only.replace("``", "").replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").replace("??", "? ?")
+    )
 
 
 def comment(text: str, indent: str = "") -> list[str]:

@@ -25,9 +25,11 @@ def needs(identifier: str | None) -> str:
 class Reading:
     """Makes the reading functions of a shape. ``scalars`` collects the helpers."""
 
-    def __init__(self, shape: Shape, scalars: Scalars) -> None:
+    def __init__(self, shape: Shape, scalars: Scalars, shared: Scalars) -> None:
+        """``shared`` collects the helpers of the functions that are in the header."""
         self.shape = shape
         self.scalars = scalars
+        self.shared = shared
         self.lines: list[str] = []
 
     def add(self, *lines: str) -> None:
@@ -64,8 +66,7 @@ class Reading:
         """Emit the function that reads a record of a container without a report of what is wrong."""
         name = stem(record.group)
         self.add(
-            f"/* Read a {record.group.type_name}; NULL: it is wrong. */",
-            f"static inline const uint8_t *get_{name}(const uint8_t *p, const uint8_t *end, dcp_{name}_t *v)",
+            f"static inline const uint8_t *dcp_get_{name}(const uint8_t *p, const uint8_t *end, dcp_{name}_t *v)",
             "{",
         )
         for number, run in enumerate(record.runs(), start=1):
@@ -90,7 +91,7 @@ class Reading:
             target = access(part.path)
             if run.text is not None and part.path[:-1] == run.text.path:
                 lengths.append(target := f"n{number}_{len(lengths) + 1}")
-            self.add(f"    {target} = {self.scalars.read(node, place)};")
+            self.add(f"    {target} = {self.shared.read(node, place)};")
             place += node.size
         if place:
             self.add(f"    p += {place};")
@@ -244,12 +245,10 @@ class Reading:
         self.record(shape.container, self._container_marks())
         for record in shape.all_records():
             self.record(record)
-            self.quick(record)
         self._beacon()
         self._payloads()
         self._report()
         self._containers()
-        self._records()
         self._check()
         return "\n".join(self.lines)
 
@@ -404,14 +403,14 @@ class Reading:
         for record in shape.all_records():
             name = stem(record.group)
             self.add(
-                f"static bool walk_{name}(reader_t *r, uint32_t count)",
+                f"static inline bool walk_{name}(reader_t *r, uint32_t count)",
                 "{",
                 f"    dcp_{name}_t record;",
                 "    uint32_t i;",
             )
             if record.group.size is not None:
                 self.add(
-                    f"    if ((r->end - r->at) / {record.group.size}u >= count) {{",
+                    f"    if (r->end - r->at >= (uint64_t)count * {record.group.size}u) {{",
                     f"        r->at += (size_t)count * {record.group.size}u;",
                     "        return true;",
                     "    }",
@@ -419,7 +418,7 @@ class Reading:
             self.add(
                 "    for (i = 0; i < count; i++) {",
                 "        const uint8_t *const p = r->octets + r->at;",
-                f"        const uint8_t *const next = get_{name}(p, r->octets + r->end, &record);",
+                f"        const uint8_t *const next = dcp_get_{name}(p, r->octets + r->end, &record);",
                 "        if (next == NULL)",
                 f"            return read_{name}(r, &record); /* reports what is wrong */",
                 "        r->at += (size_t)(next - p);",
@@ -501,17 +500,21 @@ class Reading:
             "",
         )
 
-    def _records(self) -> None:
+    def inline(self) -> str:
+        """Return the functions that read the records of containers, which are in the header."""
+        self.lines = []
         for record in self.shape.all_records():
             name = stem(record.group)
+            self.quick(record)
             self.add(
-                f"bool dcp_next_{name}(dcp_list_t *records, dcp_{name}_t *record)",
+                f"/* Read the next {record.group.type_name} of a container. False: there is none. */",
+                f"static inline bool dcp_next_{name}(dcp_list_t *records, dcp_{name}_t *record)",
                 "{",
                 "    const uint8_t *p, *next;",
                 "    if (records->taken == records->count)",
                 "        return false;",
                 "    p = records->octets + records->at;",
-                f"    next = get_{name}(p, records->octets + records->end, record);",
+                f"    next = dcp_get_{name}(p, records->octets + records->end, record);",
                 "    if (next == NULL)",
                 "        return false;",
                 "    records->at += (size_t)(next - p);",
@@ -520,6 +523,7 @@ class Reading:
                 "}",
                 "",
             )
+        return "\n".join(self.lines)
 
     def _check(self) -> None:
         shape = self.shape

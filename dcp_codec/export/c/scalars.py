@@ -18,9 +18,10 @@ class Scalars:
     def __init__(self) -> None:
         self._helpers: dict[str, str] = {}
 
-    def helpers(self) -> str:
-        """Return the definitions of the helpers that are needed."""
-        return "\n".join(self._helpers[name] for name in sorted(self._helpers))
+    def helpers(self, known: Scalars | None = None) -> str:
+        """Return the definitions of the helpers that are needed, without those that ``known`` defines."""
+        there = known._helpers if known is not None else {}
+        return "\n".join(self._helpers[name] for name in sorted(self._helpers) if name not in there)
 
     def read(self, scalar: Scalar, place: int) -> str:
         """Return the value of a scalar ``place`` octets after the pointer ``p``."""
@@ -30,15 +31,15 @@ class Scalars:
         if scalar.kind == "float":
             return f"{self._real(scalar.size)}({raw})"
         if scalar.signed:
-            self._helpers.setdefault("as_signed", _AS_SIGNED)
-            return f"({integer_type(scalar)})as_signed({raw}, {8 * scalar.size}u)"
+            self._helpers.setdefault("dcp_signed", _AS_SIGNED)
+            return f"({integer_type(scalar)})dcp_signed({raw}, {8 * scalar.size}u)"
         return raw
 
     def _load(self, scalar: Scalar, place: int) -> str:
         size, little = scalar.size, scalar.order == "little"
         if size == 1:
             return f"p[{place}]"
-        name, raw = f"{'le' if little else 'be'}{size}", _raw_type(size)
+        name, raw = f"dcp_{'le' if little else 'be'}{size}", _raw_type(size)
         wide = "uint64_t" if size > 4 else "uint32_t"
         terms = []
         for index in range(size):
@@ -47,14 +48,14 @@ class Scalars:
         pairs = [" | ".join(terms[index : index + 2]) for index in range(0, size, 2)]
         value = "\n           | ".join(pairs)
         cast = f"({raw})({value})" if size <= 2 else value
-        self._helpers[name] = _function(f"static {raw} {name}(const uint8_t *p)", f"return {cast};")
+        self._helpers[name] = _function(f"static inline {raw} {name}(const uint8_t *p)", f"return {cast};")
         return f"{name}({pointer(place)})"
 
     def _real(self, size: int) -> str:
-        name, raw, real = f"real{size}", _raw_type(size), "float" if size == 4 else "double"
+        name, raw, real = f"dcp_real{size}", _raw_type(size), "float" if size == 4 else "double"
         self._helpers[name] = (
             f"/* The octets of an IEEE 754 number as {real}. */\n"
-            f"static {real} {name}({raw} bits)\n{{\n    union {{\n        {raw} bits;\n        {real} value;\n"
+            f"static inline {real} {name}({raw} bits)\n{{\n    union {{\n        {raw} bits;\n        {real} value;\n"
             f"    }} both;\n    both.bits = bits;\n    return both.value;\n}}\n"
         )
         return name
@@ -63,9 +64,10 @@ class Scalars:
         """Return the statement that stores a number ``place`` octets after the pointer ``p``."""
         size = scalar.size
         if scalar.kind == "float":
-            name, raw, real = f"bits{size}", _raw_type(size), "float" if size == 4 else "double"
+            name, raw, real = f"dcp_bits{size}", _raw_type(size), "float" if size == 4 else "double"
             self._helpers[name] = (
-                f"static {raw} {name}({real} value)\n{{\n    union {{\n        {raw} bits;\n        {real} value;\n"
+                f"static inline {raw} {name}({real} value)\n{{\n"
+                f"    union {{\n        {raw} bits;\n        {real} value;\n"
                 f"    }} both;\n    both.value = value;\n    return both.bits;\n}}\n"
             )
             value = f"{name}({value})"
@@ -76,7 +78,7 @@ class Scalars:
     def store(self, scalar: Scalar) -> str:
         """Return the name of the function that stores a number of a scalar's size and order."""
         size, little = scalar.size, scalar.order == "little" and scalar.size > 1
-        name, raw = f"put_{'le' if little else 'be'}{size}", _raw_type(size)
+        name, raw = f"dcp_put_{'le' if little else 'be'}{size}", _raw_type(size)
         lines = []
         for index in range(size):
             shift = 8 * (index if little else size - 1 - index)
@@ -86,7 +88,7 @@ class Scalars:
                 if shift
                 else f"p[{index}] = {'' if size == 1 else '(uint8_t)'}value;"
             )
-        self._helpers[name] = _function(f"static void {name}(uint8_t *p, {raw} value)", *lines)
+        self._helpers[name] = _function(f"static inline void {name}(uint8_t *p, {raw} value)", *lines)
         return name
 
     @staticmethod
@@ -111,7 +113,7 @@ def _function(signature: str, *body: str) -> str:
 
 
 _AS_SIGNED = """/* The number whose two's complement of this many bits is value. */
-static int64_t as_signed(uint64_t value, unsigned bits)
+static inline int64_t dcp_signed(uint64_t value, unsigned bits)
 {
     const uint64_t half = (uint64_t)1 << (bits - 1u);
     return value < half ? (int64_t)value : -(int64_t)(half - 1u + half - value) - 1;

@@ -16,9 +16,11 @@ from .scalars import Scalars, pointer
 class Writing:
     """Makes the writing functions of a shape. ``scalars`` collects the helpers."""
 
-    def __init__(self, shape: Shape, scalars: Scalars) -> None:
+    def __init__(self, shape: Shape, scalars: Scalars, shared: Scalars) -> None:
+        """``shared`` collects the helpers of the functions that are in the header."""
         self.shape = shape
         self.scalars = scalars
+        self.shared = shared
         self.lines: list[str] = []
 
     def add(self, *lines: str) -> None:
@@ -34,8 +36,6 @@ class Writing:
             self.record(shape.srp)
         listed = {shape.list_region.length: "list_length"} if shape.list_region is not None else {}
         self.record(shape.container, {"icNumRecords": "num_records", **listed})
-        for record in shape.all_records():
-            self.record(record)
         self._beacon()
         self._payload()
         self._contents()
@@ -49,7 +49,7 @@ class Writing:
         name, runs = stem(record.group), list(record.runs())
         texts = [run.text for run in runs if run.text is not None]
         self.add(
-            f"static inline bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
+            f"static inline bool dcp_write_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
             "{",
             "    uint8_t *p = w->octets + w->at;",
             "    size_t left = w->size - w->at;",
@@ -63,22 +63,22 @@ class Writing:
                 and node.stored
                 and (wrong := self.scalars.range_check(node, access(part.path)))
             ):
-                self.add(f"    if ({wrong})", "        return refuse(w, DCP_FAULT_OUT_OF_RANGE);")
+                self.add(f"    if ({wrong})", "        return dcp_refuse(w, DCP_FAULT_OUT_OF_RANGE);")
         for text in texts:
             assert isinstance(text.node, Text)
             value, most = access(text.path), longest(text.node)
             if most is not None:
-                self.add(*_at_most(f"{value}.size", most - text.node.terminated, "refuse(w, DCP_FAULT_TOO_LONG)"))
+                self.add(*_at_most(f"{value}.size", most - text.node.terminated, "dcp_refuse(w, DCP_FAULT_TOO_LONG)"))
             if text.node.terminated:
                 self.add(
                     f"    for (i = 0; i < {value}.size; i++)",
                     f"        if ({value}.data[i] == 0u)",
-                    "            return refuse(w, DCP_FAULT_NUL);",
+                    "            return dcp_refuse(w, DCP_FAULT_NUL);",
                 )
         terminators = sum(isinstance(text.node, Text) and text.node.terminated for text in texts)
         self.add(
             f"    if (left < {sum(run.size for run in runs) + terminators}u)",
-            "        return refuse(w, DCP_FAULT_NO_ROOM);",
+            "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);",
         )
         for number, text in enumerate(texts):
             before = (
@@ -88,7 +88,7 @@ class Writing:
             )
             last = f"{access(text.path)}.size"
             self.add(
-                f"    left -= {before};", f"    if (left < {last})", "        return refuse(w, DCP_FAULT_NO_ROOM);"
+                f"    left -= {before};", f"    if (left < {last})", "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);"
             )
         for run in runs:
             self._run(run, marks)
@@ -101,7 +101,7 @@ class Writing:
             node = part.node
             assert isinstance(node, Scalar)
             if node.kind == "bytes":
-                self.add(f"    copy({pointer(place)}, {access(part.path)}, {node.size}u);")
+                self.add(f"    dcp_copy({pointer(place)}, {access(part.path)}, {node.size}u);")
             elif run.text is not None and isinstance(run.text.node, Text) and part.path[:-1] == run.text.path:
                 plus = " + 1u" if run.text.node.terminated else ""
                 size = f"({_unsigned(node)})({access(run.text.path)}.size{plus})"
@@ -123,7 +123,7 @@ class Writing:
         if run.text is not None:
             assert isinstance(run.text.node, Text)
             value = access(run.text.path)
-            self.add(f"    copy(p, {value}.data, {value}.size);", f"    p += {value}.size;")
+            self.add(f"    dcp_copy(p, {value}.data, {value}.size);", f"    p += {value}.size;")
             if run.text.node.terminated:
                 self.add("    *p++ = 0;")
 
@@ -143,8 +143,8 @@ class Writing:
             return
         node = part.node
         if node.rule is not None and name != "numPayloads" and name != "icNumRecords":
-            self.add(f"    if ({number} == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
-        self.add(*_at_most(number, largest(node), f"refuse(w, {fault})"))
+            self.add(f"    if ({number} == 0u)", "        return dcp_refuse(w, DCP_FAULT_EMPTY);")
+        self.add(*_at_most(number, largest(node), f"dcp_refuse(w, {fault})"))
 
     def _beacon(self) -> None:
         shape = self.shape
@@ -154,10 +154,10 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->beacon != DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
         )
         if shape.header is not None:
-            self.add(f"    if (!put_{stem(shape.header.group)}(w, bp))", "        return false;")
+            self.add(f"    if (!dcp_write_{stem(shape.header.group)}(w, bp))", "        return false;")
         self.add(
             "    w->beacon = at;",
             "    w->payloads = w->at;",
@@ -170,10 +170,10 @@ class Writing:
             "bool dcp_end_beacon(dcp_writer_t *w)",
             "{",
             "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
         )
         if shape.header is not None or shape.payloads.nonempty:
-            self.add("    if (w->payloads_written == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
+            self.add("    if (w->payloads_written == 0u)", "        return dcp_refuse(w, DCP_FAULT_EMPTY);")
         if shape.header is not None:
             self._limit(shape.header, "numPayloads", "w->payloads_written", "DCP_FAULT_TOO_MANY")
             self._limit(shape.header, "length", "w->at - w->payloads", "DCP_FAULT_TOO_LONG")
@@ -188,8 +188,8 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
-            "    if (!put_payload(w, payload))",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
+            "    if (!dcp_write_payload(w, payload))",
             "        return false;",
             "    w->payload = at;",
             "    w->content = w->at;",
@@ -200,17 +200,17 @@ class Writing:
             "{",
             "    const size_t size = w->at - w->content;",
             "    if (w->payload == DCP_NOWHERE || w->container != DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
         )
         self._limit(shape.payload, shape.content.length, "size", "DCP_FAULT_TOO_LONG")
         if fill is not None:
             self.add(
                 f"    if (size > {fill.total}u",
                 f"        || (payload->area.size != 0u && payload->area.size != {fill.total}u - size))",
-                "        return refuse(w, DCP_FAULT_TOO_LONG);",
+                "        return dcp_refuse(w, DCP_FAULT_TOO_LONG);",
                 f"    if (w->size - w->at < {fill.total}u - size)",
-                "        return refuse(w, DCP_FAULT_NO_ROOM);",
-                "    copy(w->octets + w->at, payload->area.size != 0u ? payload->area.data : NULL,",
+                "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);",
+                "    dcp_copy(w->octets + w->at, payload->area.size != 0u ? payload->area.data : NULL,",
                 f"         {fill.total}u - size);",
                 f"    w->at += {fill.total}u - size;",
             )
@@ -235,7 +235,7 @@ class Writing:
             self.add(
                 f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *report)",
                 "{",
-                f"    return put_{name}(w, report);",
+                f"    return dcp_write_{name}(w, report);",
                 "}",
                 "",
             )
@@ -247,14 +247,14 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->container != DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
             "    switch (container->ic_type) {",
             *(f"    case {number}u:" for number in shape.records),
             "        break;",
             "    default:",
-            "        return refuse(w, DCP_FAULT_UNKNOWN_TYPE);",
+            "        return dcp_refuse(w, DCP_FAULT_UNKNOWN_TYPE);",
             "    }",
-            "    if (!put_container(w, container))",
+            "    if (!dcp_write_container(w, container))",
             "        return false;",
             "    w->container = at;",
             "    w->records = w->at;",
@@ -268,11 +268,11 @@ class Writing:
             "{",
             "    const size_t container = w->container;",
             "    if (container == DCP_NOWHERE)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
             "    w->container = DCP_NOWHERE;",
             "    if (w->records_written == 0u) {",
             "        w->at = container;",
-            "        return refuse(w, DCP_FAULT_EMPTY);",
+            "        return dcp_refuse(w, DCP_FAULT_EMPTY);",
             "    }",
         )
         if shape.list_region is not None:
@@ -280,17 +280,24 @@ class Writing:
             self._set(shape.container, shape.list_region.length, "list_length", "w->at - w->records")
         self._set(shape.container, "icNumRecords", "num_records", "w->records_written")
         self.add("    return true;", "}", "")
+
+    def inline(self) -> str:
+        """Return the functions that add records to containers, which are in the header."""
+        shape, self.lines = self.shape, []
+        kept, self.scalars = self.scalars, self.shared
+        for record in shape.all_records():
+            self.record(record)
         count = shape.scalar_or_none(shape.container, "icNumRecords")
         assert count is not None
         assert isinstance(count.node, Scalar)
         self.add(
             "/* Take note of a record that was put into the open container of its type. */",
-            "static bool fits(dcp_writer_t *w, uint64_t ic_type)",
+            "static inline bool dcp_fits(dcp_writer_t *w, uint64_t ic_type)",
             "{",
             "    if (w->container == DCP_NOWHERE || w->ic_type != ic_type)",
-            "        return refuse(w, DCP_FAULT_ORDER);",
+            "        return dcp_refuse(w, DCP_FAULT_ORDER);",
             f"    if (w->records_written == {largest(count.node)}u)",
-            "        return refuse(w, DCP_FAULT_TOO_MANY);",
+            "        return dcp_refuse(w, DCP_FAULT_TOO_MANY);",
             "    return true;",
             "}",
             "",
@@ -298,15 +305,18 @@ class Writing:
         for number, record in sorted(shape.records.items()):
             name = stem(record.group)
             self.add(
-                f"bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *record)",
+                f"/* Add a {record.group.type_name}. False: it does not fit; the container can be ended without it. */",
+                f"static inline bool dcp_add_{name}(dcp_writer_t *w, const dcp_{name}_t *record)",
                 "{",
-                f"    if (!fits(w, {number}u) || !put_{name}(w, record))",
+                f"    if (!dcp_fits(w, {number}u) || !dcp_write_{name}(w, record))",
                 "        return false;",
                 "    w->records_written += 1u;",
                 "    return true;",
                 "}",
                 "",
             )
+        self.scalars = kept
+        return "\n".join(self.lines)
 
 
 def _at_most(number: str, most: int, otherwise: str) -> list[str]:

@@ -48,6 +48,16 @@
     const manager = await Bokeh.embed.embed_item(item, place.id);
     const model = [...manager][0].model;
     views.set(name, model);
+    // The legend has as many columns as fit; without this, as many as fit on a small screen.
+    const legend = model.below.find((each) => each.type === "Legend");
+    if (legend) {
+      const longest = Math.max(...legend.items.map(({ label }) => (label?.value ?? label ?? "").length));
+      const columns = Math.max(legend.ncols, Math.min(6, Math.floor((place.clientWidth - 120) / (48 + 7 * longest))));
+      const rows = (many) => Math.ceil(legend.items.length / many);
+      model.height -= 22 * (rows(legend.ncols) - rows(columns));
+      legend.ncols = columns;
+      place.style.minHeight = model.height + "px";
+    }
     // A finger scrolls the page until a tool is chosen.
     if (matchMedia("(pointer: coarse)").matches) for (const tool of model.toolbar.tools) if (tool.active && tool.type !== "HoverTool") tool.active = false;
     if (items[name].time) link(model, items[name].group);

@@ -55,6 +55,8 @@ NO_SETTINGS: Final[Mapping[str, object]] = MappingProxyType({})
 def load_scenario(path: str | Path, settings: Mapping[str, object] = NO_SETTINGS) -> Scenario:
     """Return the scenario in a TOML file with ``settings`` (see :func:`change`). Raises :class:`ScenarioError`."""
     raw = _read(Path(path))
+    # Lists of values for dcp-node sweep; a single run has the values of the scenario itself.
+    raw.pop("sweep", None)
     return scenario_from(change(raw, settings, str(path)), str(path), Path(path).parent)
 
 

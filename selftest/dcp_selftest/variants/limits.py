@@ -65,7 +65,8 @@ class FewPlaces(BeaconingProtocol):
 
     def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
         mode, entries = rest[2], rest[3]
-        if isinstance(entries, int) and entries > _PLACES and "QUEUE" in str(mode) and prot_id not in _OWN:
+        known = prot_id in _OWN or prot_id in self._clients
+        if not known and isinstance(entries, int) and entries > _PLACES and "QUEUE" in str(mode):
             return RegisterConfirm(BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE, self._config.node_id)
         return super().register(prot_id, *rest, now=now, wall=wall)
 

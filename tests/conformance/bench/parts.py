@@ -139,6 +139,7 @@ class Run:
         self.short_period: PeriodOverride | None = None
         self.busy_until = 0
         self.sut_id: bytes | None = SUT
+        self.sut_address: bytes | None = None
         self.identifier_pool = IdentifierPool(0, 15, leave=False, timed=True)
         self.boundaries: Mapping[str, int] = {"lowest": 0, "highest": 15}
         self.renewable = False

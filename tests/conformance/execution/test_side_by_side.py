@@ -21,6 +21,7 @@ from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, Case, all_cases
+from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.control import Control
@@ -449,15 +450,17 @@ def test_a_crash_is_detected_and_attributed_to_its_case() -> None:
     every = all_cases()
     runner.run(every[SANITY])
     chosen = [case for name, case in every.items() if name.startswith(("TC_BP_RXP", "TC_VD_STATE_BV_03"))]
-    passed: list[str] = []
+    found: dict[str, CaseResult] = {}
     executor = SideBySide(runner, every[SANITY])
-    executor.run([case for case in chosen if not why_alone(case)], lambda case, _: passed.append(case.id))
-    alone = {case.id: runner.run(case) for case in chosen if case.id not in passed}
-    killers = [name for name, result in alone.items() if result.killed]
+    beside = [case for case in chosen if not why_alone(case)]
+    executor.run(beside, lambda case, result: found.update({case.id: result}))
+    killers = [name for name, result in found.items() if result.killed]
     assert "TC_BP_RXP_BV_01-1000" in killers
-    assert not set(killers) & set(passed)
-    assert len(passed) + len(alone) == len(chosen)
-    assert any("executed side by side" in note and "alone" in note for note in runner.notes)
+    assert all(found[name].verdict is Verdict.FAIL and not found[name].side_by_side for name in killers)
+    # The other cases pass beside each other, and none is left to be executed alone.
+    assert len(found) == len(beside)
+    assert {result.verdict for name, result in found.items() if name not in killers} <= {Verdict.PASS}
+    assert any("executed side by side" in note and "executed again" in note for note in runner.notes)
 
 
 def test_cases_with_malformed_containers_run_only_beside_each_other(monkeypatch) -> None:

@@ -86,12 +86,16 @@ def test_since_2_0_a_deleted_variable_stays_known_for_good():
     assert not names.is_unknown(3, 10 * GONE)
 
 
-def test_after_a_reset_everything_is_unknown():
+def test_after_a_reset_everything_is_unknown_but_variables_of_an_application():
+    """An application on the node creates its variable again."""
     names = timed()
     names.offered(3, 1)
-    names.heard((4,), (5,), GONE)
+    (handed,) = names.unknown(1, 0)
+    names.heard((4, handed), (5,), GONE)
     names.forget()
-    assert names.left(0) == 16
+    assert names.foreign == {4}
+    assert names.left(0) == 15
+    assert 4 not in names.unknown(16, 0)
 
 
 def test_up_to_1_3_a_variable_is_gone_after_its_last_deletion():

@@ -11,9 +11,10 @@ from dcp_conformance.execution.case_results import result_of
 from dcp_conformance.execution.runner import SLOW_DEATH, Runner
 from dcp_conformance.execution.survival.attribution import Trial
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.interconnection.findings import stands
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not
-from dcp_conformance.model.case import Case
+from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.case_times import load
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
@@ -35,6 +36,11 @@ _LOOK: Final = 200_000_000
 _ATTEMPTS: Final = 4
 #: Number of successive cases without a pass after which the implementation is probed.
 _DOUBTFUL: Final = 6
+#: Maximum number of cases that are tried alone to find the one that ended the implementation, and maximum number of
+#: waves in which a case is in execution when the implementation ends, before it is executed alone.
+_TRIED, _MET = 16, 3
+#: Time in ns before the last frame of the implementation in which it may have received a lethal frame.
+_BEFORE: Final = 20_000_000
 
 
 def execute(
@@ -57,6 +63,7 @@ def execute(
     rest = [case for case in applicable if not case.destructive]
     short = ShortPeriod(runner.session, sanity)
     if short.begin(lambda: runner.initial_state(sanity, used=False)):
+        executor.short = short
         quick = [case for case in rest if at_short_period(case)]
         try:
             _together(executor, quick, on_result)
@@ -67,6 +74,7 @@ def execute(
                     if result is not None:
                         on_result(case, result)
         finally:
+            executor.short = None
             short.end()
         rest = [case for case in rest if case not in quick]
     _together(executor, rest, on_result)
@@ -127,6 +135,12 @@ class SideBySide:
         """Whether the implementation may have been lost in this wave."""
         self._suspects: list[str] = []
         """The cases in execution when that became doubtful."""
+        self.short: ShortPeriod | None = None
+        """The short beacon period that is set again after a restart."""
+        self._met: Counter[str] = Counter()
+        """By case: the number of waves in which it was in execution when the implementation ended."""
+        self._hung_up: list[Bench] = []
+        """The benches of the cases of this wave that lost the upper tester, in the order in which they ended."""
         self._resets = 0
         """Number of times that the implementation could not be brought into its initial state."""
         self._used_up = False
@@ -135,8 +149,8 @@ class SideBySide:
         """Number of successive cases without a pass."""
         self._passed: list[_Pass] = []
         """The passes of the last seconds: their cases may still cause a death."""
-        self._last = 0
-        """Time in ns of the last frame of the implementation."""
+        self._last = self._last_wall = 0
+        """Time in ns of the last frame of the implementation, on the clock of the link and since 1970."""
         self._observer = Bench(self._session, sanity)
         self._frames = 0
 
@@ -188,7 +202,9 @@ class SideBySide:
         self._draining = self._used_up = self._doubtful = False
         self._doubts = 0
         self._suspects = []
+        self._hung_up = []
         ended: list[tuple[Case, Trial]] = []
+        cut_off: list[Bench] = []
         looked = session.lower.now()
         try:
             while True:
@@ -201,18 +217,27 @@ class SideBySide:
                     self._end(case, trial)
                 ended.clear()
                 self._confirm(on_result)
-                if session.lower.now() - looked >= _LOOK:
+                if self._doubtful or session.lower.now() - looked >= _LOOK:
                     looked = session.lower.now()
                     if self._runner.life.ended():
-                        self._draining = self._doubtful = True
+                        self._doubtful = True
                         self._suspects = self._suspects or list(self._live)
+                        # What the other cases wait for will not come.
+                        cut_off = list(self._live.values())
+                        scheduler.abandon("the implementation has ended")
+                        break
         finally:
             scheduler.close()
             session.identifier_pool.in_use = frozenset
             session.passive.interrupted(session.lower.now())
             self._live.clear()
-        for case, trial in ended:
-            self._end(case, trial)
+        if not cut_off:
+            for case, trial in ended:
+                self._end(case, trial)
+        if cut_off or (self._hung_up and self._runner.life.ended()):
+            self._after_death([*self._hung_up, *cut_off], on_result)
+            return
+        self.left += [bench.case for bench in self._hung_up]
         if self._silent() and not self._doubtful:
             self._doubtful = True
             self._suspects = [each.trial.case.id for each in self._passed]
@@ -221,6 +246,87 @@ class SideBySide:
             self._give_up(why)
         if self._runner.deaths_side_by_side > deaths:
             self._withhold()
+
+    def _after_death(self, cut_off: Sequence[Bench], on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Restart the implementation, find the case that ended it, and put the others back.
+
+        ``cut_off``: the benches of the cases that were in execution, or lost the upper tester.
+        """
+        runner = self._runner
+        if why := runner.check_life(self._sanity, self._suspects):
+            self._requeue([bench.case for bench in cut_off])
+            self._withhold()
+            self._give_up(why)
+            return
+        tried: set[str] = set()
+        killer: Case | None = None
+        for case in self._candidates(cut_off)[:_TRIED]:
+            tried.add(case.id)
+            found = self._try(case, on_result)
+            if found is not None and found.killed:
+                killer = case
+                break
+        if killer is not None:
+            # Variants of a case have the same stimulus: do not let them meet others.
+            base = killer.base
+            alike = [case for case in (*self._waiting, *self._light) if case.base == base]
+            alike += [bench.case for bench in cut_off if bench.case.base == base and bench.case.id not in tried]
+            for case in alike:
+                for queue in (self._waiting, self._light):
+                    if case in queue:
+                        queue.remove(case)
+                tried.add(case.id)
+                self._try(case, on_result)
+        else:
+            self._withhold()
+            self.width = max(_FEW, self.width // 2)
+        self._requeue([bench.case for bench in cut_off if bench.case.id not in tried])
+        if self.short is not None:
+            self.short.resume(lambda: runner.initial_state(self._sanity, used=False))
+
+    def _candidates(self, cut_off: Sequence[Bench]) -> list[Case]:
+        """Return the cases that may have ended the implementation, the most likely one first.
+
+        It is a case with a stimulus after the last frame of the implementation, probably the last or an unanswered one.
+        """
+        found: list[tuple[bool, bool, int, Case]] = []
+        for bench in cut_off:
+            stimuli = [each for each in bench.traffic.events if each.direction in ("sent", "call")]
+            if stimuli and stimuli[-1].wall >= self._last_wall - _BEFORE:
+                pending = bench is self._pending()
+                found.append((pending, bench.case.kind is Kind.INVALID, stimuli[-1].wall, bench.case))
+        ranked = [case for *_, case in sorted(found, key=lambda each: each[:3], reverse=True)]
+        recent = [each.trial.case for each in self._passed if each.ended >= self._last]
+        return [*ranked, *reversed(recent)]
+
+    def _pending(self) -> Bench | None:
+        """Return the bench of the case in whose call the connection was lost."""
+        first = self._hung_up[0] if self._hung_up else None
+        return first if first is not None and first.traffic.events[-1].direction == "call" else None
+
+    def _try(self, case: Case, on_result: Callable[[Case, CaseResult], None]) -> CaseResult | None:
+        """Execute a case alone, and report its result if it passes or ends the implementation."""
+        result = self._runner.tried_alone(case)
+        self._passed = [each for each in self._passed if each.trial.case is not case]
+        if result is None:
+            if case not in self.left:
+                self.left.append(case)
+            self.reasons[case.id] = "the implementation ended while it was executed beside others"
+            return None
+        self.left = [each for each in self.left if each is not case]
+        self.reasons.pop(case.id, None)
+        on_result(case, result)
+        return result
+
+    def _requeue(self, cases: Sequence[Case]) -> None:
+        """Put cases back that were in execution when the implementation ended; after some waves leave them."""
+        for case in reversed(cases):
+            self._met[case.id] += 1
+            if self._met[case.id] >= _MET:
+                self.left.append(case)
+                self.reasons[case.id] = "the implementation ended several times while it was executed beside others"
+            else:
+                (self._waiting if "vardis" in case.needs.entities else self._light).appendleft(case)
 
     def _silent(self) -> bool:
         """Return whether the implementation has sent no frame since one of the last passes."""
@@ -283,6 +389,8 @@ class SideBySide:
         finally:
             base.passive.leave(case.id)
             del self._live[case.id]
+        # Start no further case before it is known whether the implementation has ended.
+        self._doubtful = self._doubtful or bool(trial.upper_tester_error)
         return trial
 
     def _end(self, case: Case, trial: Trial) -> None:
@@ -304,8 +412,18 @@ class SideBySide:
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
             return
-        self.left.append(case)
+        final = trial.verdict is Verdict.INCONCLUSIVE and not trial.upper_tester_error and not trial.disturbed
+        if final and stands(session, case, trial.checks):
+            # No repetition can decide it.
+            result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
+            self._passed.append(_Pass(trial, result, session.lower.now()))
+            return
         self.reasons[case.id] = _reason(trial)
+        if trial.upper_tester_error:
+            # If the implementation has ended, this case was only cut off.
+            self._hung_up.append(trial.bench)
+        else:
+            self.left.append(case)
         if trial.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) and not trial.upper_tester_error:
             self._crowded.append(case)
         self._doubts += 1
@@ -320,7 +438,7 @@ class SideBySide:
         heard = ReceivedBeacon(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
         if observer.receiver.is_sut(heard):
             self._frames += 1
-            self._last = arrival.time
+            self._last, self._last_wall = arrival.time, arrival.wall
             heard.number = self._frames
             session.heard(heard, arrival, SIDE_BY_SIDE, None, observer.identifiers.departure())
 

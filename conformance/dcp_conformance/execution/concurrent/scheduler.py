@@ -70,7 +70,7 @@ class Scheduler:
         self._threads = ThreadPoolExecutor(1) if upper is not None and isinstance(lower, OnThisMachine) else None
         self._awake, self._wake = socket.socketpair()
         self._awake.setblocking(False)
-        self._closing = False
+        self._closing = self._abandoned = False
         self.lost_link: LowerTesterError | None = None
         """The error of the link, if it cannot be used any more."""
         self.lost_upper: UpperTesterError | None = None
@@ -99,6 +99,11 @@ class Scheduler:
             for task in waiting:
                 if not task.done and task.until is not None and task.until <= self.lower.now():
                     self._resume(task)
+
+    def abandon(self, why: str) -> None:
+        """Let all calls and receptions fail from now on: the implementation is gone, and nothing can be undone."""
+        self._abandoned = True
+        self.lost_link, self.lost_upper = LowerTesterError(why), UpperTesterError(why)
 
     def close(self) -> None:
         """End all tasks, which undo their changes, and release thread and sockets."""
@@ -145,7 +150,7 @@ class Scheduler:
     def call(self, task: Task, method: str, params: dict[str, Any]) -> Answer:
         """Call the upper tester for a task and return the answer. Raise the exceptions of the upper tester."""
         assert self.upper is not None
-        if self.lost_upper is not None and not self._closing:
+        if self.lost_upper is not None and (self._abandoned or not self._closing):
             raise self.lost_upper
         if self._threads is None:
             answer = self.upper.call(method, params)

@@ -25,7 +25,7 @@ ALONE: Final = frozenset(
 )
 """Services that change the implementation as a whole."""
 
-_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*|TC_VD_SCR_TI_(09|16)")
+_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*|TC_VD_SCR_TI_(09|16|24)")
 """Cases about the configured beacon period, and cases with repetitions that must outlast a timeout: with a short period
 they would be over before it."""
 

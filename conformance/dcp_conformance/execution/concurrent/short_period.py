@@ -39,7 +39,7 @@ class ShortPeriod:
         self._session = session
         self._case = case
         self._configured: Any = None
-        self._reaction = session.known.reaction
+        self._reaction = self._short_reaction = session.known.reaction
         self.milliseconds = 0
         """The short period in ms."""
 
@@ -73,13 +73,29 @@ class ShortPeriod:
             intervals = [after.time - before.time for before, after in pairwise(bench.heard)]
             used = min(intervals, default=configured * MS) < _SHORTER * configured * MS
             if used and found.samples and found.periods <= _SLOWEST and not found.per_payload:
-                session.known.reaction = found
+                session.known.reaction = self._short_reaction = found
                 return True
         except ConformanceError:
             # If the problem persists, the cases will report it.
             pass
         self.end()
         return False
+
+    def resume(self, reset: Callable[[], object]) -> None:
+        """Set the short period again after a restart, without another measurement."""
+        session = self._session
+        if not self.milliseconds or session.short_period is self:
+            return
+        try:
+            reset()
+            if not self.renew():
+                return
+        except ConformanceError:
+            return
+        session.short_period = self
+        session.parameters[PERIOD] = self.milliseconds
+        session.passive.another_period(True)
+        session.known.reaction = self._short_reaction
 
     def renew(self) -> bool:
         """Set the short period, also after a reset; return whether the implementation has accepted it."""

@@ -7,6 +7,7 @@ of a reaction while the implementation was ending do not count against the requi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -28,6 +29,9 @@ from .service_requirements import concerns, violated_by_death
 _SURVIVAL_OF_FRAMES: Final = "BP-RX-16"
 _SURVIVAL_OF_PAYLOADS: Final = "VD-ROB-01"
 _SURVIVAL: Final = frozenset({"BP-RX-15", _SURVIVAL_OF_FRAMES, _SURVIVAL_OF_PAYLOADS})
+
+#: Services that prepare a case, or undo what it has changed.
+_PREPARES: Final = re.compile(r"UT-.*|.*-(MGMT|Get|Set).*|BP-(Register|Deregister).*|RTDB-Delete")
 
 
 @dataclass(slots=True)
@@ -141,12 +145,27 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     verdict = Verdict.INCONCLUSIVE if loss.doubtful else Verdict.FAIL
     service = trial.stimulus.text if trial.stimulus is not None and trial.stimulus.direction == "call" else ""
     what = "the implementation survives" + (f" {service}" if service else "")
-    violated = survival(trial)
+    violated = tuple(dict.fromkeys((*survival(trial), *_unfulfilled(trial))))
     death = Check(verdict, violated, what, loss.observed + text, table=table)
     if service and not violated:
         # No requirement applies to the service: the checks of the case keep their verdicts.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
+
+
+def _unfulfilled(trial: Trial) -> tuple[str, ...]:
+    """Return the requirement of a case that a death after a valid stimulus also violates; empty without one.
+
+    It is the first one that no check has shown, because the implementation owed the reaction. A call that only prepares
+    the case is not its stimulus.
+    """
+    case, stimulus = trial.case, trial.stimulus
+    if case.kind is not Kind.VALID or case.robustness or case.needs.link or stimulus is None:
+        return ()
+    if stimulus.direction == "call" and (_PREPARES.search(stimulus.text) or concerns(case, stimulus.text)):
+        return ()
+    shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
+    return next(((each,) for each in case.requirements if each not in shown), ())
 
 
 def came_back(trial: Trial, seconds: float) -> tuple[Check, ...]:

@@ -77,8 +77,8 @@ class Loss:
     def summary(self) -> str:
         """The loss in one line.
 
-        Of the output only the last line that mentions a fault is used, or else the last line, because several processes
-        print in any order.
+        Of the output only the summary of a sanitizer's report is used, or the last line that mentions a fault, or
+        else the last line, because several processes print in any order.
         """
         ending, separator, words = self.cause.partition(_OUTPUT)
         if "Sanitizer: " in ending or ": runtime error: " in ending:

@@ -15,6 +15,7 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import Case
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session
+from dcp_conformance.upper_tester import Checked
 
 _LIST: Final = "BP-ListRegisteredProtocols"
 #: Time between two questions, and maximum time until the protocols are registered, in ns.
@@ -31,6 +32,10 @@ class Readiness:
         self._session = session
         self._own: frozenset[int] = frozenset({BP_PROTID_VARDIS})
         self._useless = False
+        self._listed = False
+        """Whether VarDis was ever listed."""
+        self.lost = False
+        """Whether VarDis is not registered any more after a reset."""
         self.longest = 0
         """Longest wait, in ns: how much too early UT-Reset returned."""
 
@@ -50,11 +55,15 @@ class Readiness:
             passed = bench.now() - begun
             if self._own <= registered:
                 self._own |= registered
+                self._listed = True
                 # A slow answer alone does not show that the reset was not complete.
                 self.longest = max(self.longest, passed) if waited else self.longest
                 return
             if passed >= _PATIENCE:
                 self._useless = True
+                self.lost = self._listed and BP_PROTID_VARDIS not in registered
+                if self.lost and isinstance(self._session.upper, Checked):
+                    self._session.upper.faults.lost_registration("VarDis")
                 return
             bench.waiting.wait_ns(_INTERVAL)
             waited = True

@@ -60,7 +60,7 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
     with contextlib.ExitStack() as stack:
         connections: dict[Connection, Worker] = {}
         for share in shares:
-            options = (run.options, _selection(run, share), run.repeat, run.until_fail, run.artefacts)
+            options = (run.options, _selection(run, share), run.repeat, run.max_fails, run.artefacts)
             worker = Worker(context, _execute_share, *options)
             stack.callback(worker.end, terminate=True)
             connections[worker.connection] = worker
@@ -119,7 +119,7 @@ def _execute_share(
     options: TargetOptions,
     selection: Selection,
     repeat: int,
-    until_fail: bool,
+    max_fails: int,
     artefacts: Path | None,
 ) -> None:
     """Execute one share of the cases and send the results: the main function of a worker process."""
@@ -140,7 +140,7 @@ def _execute_share(
         options,
         selection,
         repeat=repeat,
-        until_fail=until_fail,
+        max_fails=max_fails,
         artefacts=artefacts,
         on_result=report,
     )

@@ -18,6 +18,7 @@ class RunIdentifiers(Protocol):
     identifier_pool: IdentifierPool
     boundaries: Mapping[str, int]
     sut_id: bytes | None
+    sut_address: bytes | None
     renewable: bool
     next_node: int
     creation_time: int
@@ -56,7 +57,7 @@ class Identifiers:
         return self.new_node()[0]
 
     def new_node(self) -> tuple[bytes, bytes]:
-        """Return identifier and link-layer address of a node that this run has not used and that is not the SUT's.
+        """Return identifier and link-layer address of a node that this run has not used and that are not the SUT's.
 
         Raises ``NamesUsedUp`` if identifiers are so short that none is left.
         """
@@ -68,7 +69,7 @@ class Identifiers:
             address = _address(run.next_node)
             text = layout.representation == "text"
             node_id = address.hex(":").encode() if text else address[-layout.width :].rjust(layout.width, b"\x02")
-            if node_id != run.sut_id:
+            if node_id != run.sut_id and address != run.sut_address:
                 return node_id, address
 
     # -- variables -----------------------------------------------------------------------------------------------------

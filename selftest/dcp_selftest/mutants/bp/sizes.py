@@ -12,7 +12,7 @@ from dcp_selftest.mutants.bp.queueing import OwnQueue, places
 from dcp_selftest.mutants.bp.receive import chosen, repaired
 from dcp_selftest.mutants.family import assign, before
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
+from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import PayloadQueue, Submission
@@ -42,8 +42,7 @@ chosen("signed", "BP-RX-07 BP-HDR-07", "reads numPayloads as a signed number",
 # fmt: on
 
 
-@mutant("counts-on", "BP-TX-08 BP-HDR-07", "puts more than 255 blocks into a beacon, and counts them modulo 256",
-    unseen=ONE_PAYLOAD)  # fmt: skip
+@mutant("counts-on", "BP-TX-08 BP-HDR-07", "puts more than 255 blocks into a beacon, and counts them modulo 256")
 class CountsOn(BeaconingProtocol):
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)

@@ -91,8 +91,8 @@ class Expiry(NeighbourTable):
 
 # fmt: off
 removed = instead(Expiry, Expiry.removed)
-removed("four-at-a-time", "SRP-RUN-02", "removes at most four entries in each traversal",
-    lambda self, old, now, timeout: old[:4])
+removed("two-at-a-time", "SRP-RUN-02", "removes at most two entries in each traversal",
+    lambda self, old, now, timeout: old[:2])
 removed("first-32", "SRP-RUN-02", "traverses only the first 32 entries",
     lambda self, old, now, timeout: [node_id for node_id in [*self._entries][:32] if node_id in old])
 # fmt: on

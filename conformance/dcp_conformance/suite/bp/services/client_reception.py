@@ -316,7 +316,7 @@ def deaf_for_clients(bench: Bench) -> None:
         peer, early = bench.peer(), b"while inactive"
         with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early))
-            bench.wait(max(1, bench.sut.processing))
+            bench.wait(max(1, bench.session.known.processing))
         received = after(bench, client, peer, "a time of inactivity", "BP-MGT-05")
         bench.proved(
             early not in received, "no indication of a payload received while BP was inactive", "an indication of it"

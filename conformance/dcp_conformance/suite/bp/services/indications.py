@@ -185,7 +185,7 @@ def while_registered(bench: Bench) -> None:
         peer.send(Block(client.prot_id, early))
         # The beacon and the service request reach the implementation through different channels: without a pause their
         # order is undefined.
-        bench.wait(bench.sut.processing)
+        bench.wait(bench.session.known.processing)
         with client:
             peer.send(Block(client.prot_id, right))
             client.until_received()

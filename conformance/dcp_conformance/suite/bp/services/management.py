@@ -74,7 +74,7 @@ def deaf(bench: Bench) -> None:
         peer, var_id, early, late = bench.peer(), bench.unknown_id(), b"while inactive", b"while active"
         with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early), peer.summary(var_id, 1))
-            bench.wait(max(1.5, bench.sut.processing))
+            bench.wait(max(1.5, bench.session.known.processing))
         peer.send(Block(client.prot_id, late))
         until(bench, lambda: late in client.received())
         bench.require_alive("a time of inactivity", "BP-MGT-05")

@@ -238,7 +238,7 @@ def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> No
     bench.until_instruction(UPDATES, var_id)
     other = bench.peer()
     other.send(stimulus(peer, var_id))
-    if count >= 4 and bench.sut.processing < count - 1:
+    if count >= 4 and bench.session.known.processing < count - 1:
         _require_left(bench, UPDATES, var_id, count, since)
         bench.check_repeated(UPDATES, var_id, count, since)
         return

@@ -21,7 +21,7 @@ from .summaries import SUMMARIES, summarises
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 #: Variables with queued records, and the records that fit into a payload.
-_QUEUED, _FIT = 24, 7
+_QUEUED, _FIT = 14, 4
 #: The place of the variable that is queued again.
 _AGAIN = 2 * _FIT + 2
 
@@ -35,9 +35,16 @@ _STIMULI: dict[str, tuple[ICType, Stimulus, str]] = {
     ),
     "deletes": (_DELETE, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10 VD-PD-04 VD-CMP-13"),
     "updates": (_UPDATE, lambda peer, var_id: peer.update(var_id, 9, b"w"), "VD-CMP-09 VD-PU-07"),
-    "requests": (_ASK_CREATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01"),
+    "requests": (_ASK_CREATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01 DATA-12"),
     "update-requests": (_ASK_UPDATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-11 VD-PS-04"),
 }
+
+
+def _variants(*names: str) -> dict[str, Variant]:
+    found = {name: _STIMULI[name] for name in names}
+    return {name: Variant(value, requirements=f"{value[2]} VD-PAY-06 VD-PAY-02") for name, value in found.items()}
+
+
 _SETTABLE = Needs(
     ut=("UT-Reset", "VD-SetParameter"),
     when=lambda bench: bench.sut.lacks("variables", _QUEUED + 1) or None,
@@ -69,7 +76,7 @@ def _prepared(bench: Bench, peer: Peer, kind: ICType, rep_cnt: int, *, known: bo
     # The limits of other parameters depend on the size of a payload.
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
     bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(3)
+    bench.wait(2)
     return names, limit
 
 
@@ -91,25 +98,54 @@ def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
     "Records that do not fit into a payload follow in the order of their queue, and repetitions after them ({variant})",
     requirements="VD-PAY-06 VD-PAY-02",
     stimulus=(
-        "VARDISPAR_MAX_PAYLOAD_SIZE is lowered to seven records; one beacon queues records of this kind ({variant}) "
-        "about 24 variables, in an order that neither rises nor falls, with repCnt 2"
+        f"VARDISPAR_MAX_PAYLOAD_SIZE is lowered to {_FIT} records; one beacon queues records of this kind "
+        f"({{variant}}) "
+        f"about {_QUEUED} variables, in an order that neither rises nor falls, with repCnt 2; the next beacon queues "
+        "one of those again that wait for the third payload, if that is possible"
     ),
     expect="all of them in this order, then all again (requests once); full payloads, except for the last",
     window=30,
     needs=_SETTABLE,
-    variants={name: Variant(value, requirements=f"{value[2]} VD-PAY-06 VD-PAY-02") for name, value in _STIMULI.items()},
+    variants=_variants("new-variables", "deletes", "requests"),
 )
 def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+    _check_queue(bench, what)
+
+
+@case(
+    "TC_VD_ORD_BV_03",
+    "As TC_VD_ORD_BV_01 for records of known variables ({variant})",
+    requirements="VD-PAY-06 VD-PAY-02",
+    stimulus="see TC_VD_ORD_BV_01; records of this kind: {variant}",
+    expect="all of them in the order of the queue, then all again (requests once); full payloads, except for the last",
+    window=30,
+    needs=_SETTABLE,
+    variants=_variants("creates", "updates", "update-requests"),
+    long=True,
+)
+def order_of_answers(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+    _check_queue(bench, what)
+
+
+def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     kind, stimulus, _ = what
     once, new = kind in (_ASK_CREATE, _ASK_UPDATE), what is _STIMULI["new-variables"]
     peer, count = bench.peer(), 1 if once else bench.sut.rep_cnt(2)
     if new and count < 2:
         bench.verdicts.not_applicable("the implementation does not accept repCnt 2")
     names, limit = _prepared(bench, peer, kind, count, known=not new)
-    start = bench.mark()
+    name, start = names[_AGAIN], bench.mark()
     peer.send(*(stimulus(peer, each) for each in names))
+    if not new and kind is not _DELETE:
+        peer.send(peer.update(name, 10, b"x") if kind is _UPDATE else stimulus(peer, name))
+        bench.mark()
+        if bench.instructions(kind, name, start):
+            bench.inconclusive("a record that waits for the third payload", "it was sent at once")
     frames = bench.until_quiet(_about(kind, names), since=start)
     check_order_of_queue(bench, kind, names * count, start)
+    if kind is _UPDATE:
+        numbers = [each.record.seqno for each in bench.instructions(kind, name, start)]
+        bench.every(numbers, lambda each: each == 10, "the newest value of the variable", "VD-UPD-10", "VD-PU-07")
     size = bench.builder.record_size(_record(bench, peer, kind))
     room = [each for each in frames[:-1] if size_of(bench, each) + size <= limit]
     bench.none(room, f"payloads without room for another record in {limit} octets", "VD-PAY-02")
@@ -117,45 +153,11 @@ def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     bench.none(large, f"payloads of at most {limit} octets", "VD-IC-05")
 
 
-@case(
-    "TC_VD_ORD_BV_02",
-    "A record that is queued keeps its place when it is queued again ({variant})",
-    requirements="VD-UPD-09",
-    stimulus=(
-        "as in TC_VD_ORD_BV_01 with repCnt 1; in the next beacon the same about one variable of the third payload "
-        "({variant}; a newer value for updates)"
-    ),
-    expect="the same order, each record once; the newer value in its place",
-    window=30,
-    needs=_SETTABLE,
-    variants={
-        name: Variant(value, requirements=f"{value[2]} DATA-12")
-        for name, value in _STIMULI.items()
-        if name not in ("deletes", "new-variables")
-    },
-)
-def queued_again(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
-    kind, stimulus, _ = what
-    peer = bench.peer()
-    names, _ = _prepared(bench, peer, kind, 1)
-    name, start = names[_AGAIN], bench.mark()
-    peer.send(*(stimulus(peer, each) for each in names))
-    peer.send(peer.update(name, 10, b"x") if kind is _UPDATE else stimulus(peer, name))
-    bench.mark()
-    if bench.instructions(kind, name, start):
-        bench.inconclusive("a record that waits for the third payload", "it was sent at once")
-    bench.until_quiet(_about(kind, names), since=start)
-    check_order_of_queue(bench, kind, names, start)
-    if kind is _UPDATE:
-        numbers = [each.record.seqno for each in bench.instructions(kind, name, start)]
-        bench.every(numbers, lambda each: each == 10, "the newest value of the variable", "VD-UPD-10", "VD-PU-07")
-
-
 # -- summaries ---------------------------------------------------------------------------------------------------------
 
 
 @case(
-    "TC_VD_ORD_BV_03",
+    "TC_VD_ORD_BV_02",
     "A new variable is summarised after all others, and an updated one keeps its turn",
     requirements="VD-CMP-03 VD-CRE-12 VD-PC-09",
     stimulus=(
@@ -195,17 +197,15 @@ def _holds(count: int) -> Callable[[Bench], str | None]:
 
 _MANY: dict[str, tuple[ICType, int, Stimulus, str]] = {
     "requests": (_ASK_CREATE, 200, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01"),
-    "update-requests": (_ASK_UPDATE, 104, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-11"),
-    "deletes": (_DELETE, 104, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10"),
-    "updates": (_UPDATE, 100, lambda peer, var_id: peer.update(var_id, 9, b"w"), "VD-CMP-09"),
+    "deletes": (_DELETE, 40, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10"),
 }
 
 
 @case(
     "TC_VD_PAY_BV_11",
-    "A payload has as many records as fit, also more than a hundred ({variant})",
+    "A payload has as many records as fit, also 40 or 200 ({variant})",
     requirements="VD-PAY-02",
-    stimulus="one beacon queues records of this kind ({variant}) about 100 to 200 variables",
+    stimulus="one beacon queues records of this kind ({variant}) about 200 unknown or 40 known variables",
     expect="records about all of them, in payloads that are full, except for the last",
     window=30,
     variants={

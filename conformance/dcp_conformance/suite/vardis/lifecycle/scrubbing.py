@@ -19,6 +19,7 @@ from dcp_conformance.test_steps.timeouts import (
     learn,
     not_by_consumers,
     scrubbing_period_ms,
+    scrubs,
     sent,
     shorten_scrubbing,
 )
@@ -47,7 +48,7 @@ def consumer(bench: Bench, timeout_ms: int) -> None:
     if found is None:
         not_by_consumers(bench, name)
         return
-    bench.reading("X26", "every-node")
+    scrubs(bench, by_consumers=True)
     bench.passed("consumers delete variables after their timeout", "VD-SCR-05", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")

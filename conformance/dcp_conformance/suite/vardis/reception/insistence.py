@@ -210,6 +210,7 @@ def _text(length: int, first: int) -> bytes:
     expect="both are forwarded unchanged, also when the variable is requested",
     window=16,
     needs=Needs(SpecVersion.V1_1, when=_long),
+    alone="it sets parameters of VarDis, if it can",
     variants={"128": 128, "200": 200, "255": 255},
 )
 def long_received(bench: Bench, length: int) -> None:
@@ -238,6 +239,7 @@ def long_received(bench: Bench, length: int) -> None:
     expect="VARDIS-STATUS-OK each time; a VarCreate and a VarUpdate with these lengths; the value that was set",
     window=16,
     needs=Needs(SpecVersion.V1_1, ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"), when=_long),
+    alone="it sets parameters of VarDis, if it can",
     variants={"128": 128, "200": 200, "255": 255},
 )
 def long_created(bench: Bench, length: int) -> None:

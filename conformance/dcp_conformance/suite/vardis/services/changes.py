@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE
 from dcp_conformance.test_steps.services import (
@@ -16,7 +16,6 @@ from dcp_conformance.test_steps.services import (
     VALUE_TOO_LONG,
     create_request,
     least_left,
-    max_repetitions,
     parameters_set,
     several_repetitions,
 )
@@ -28,50 +27,39 @@ _SET = ("RTDB-Create", "RTDB-Update", "UT-Reset", "VD-SetParameter")
 _LONG, _SHORT, _COUNT = 12, 6, 3
 
 
-class Lowered(NamedTuple):
-    """A parameter that is lowered, its new value, and a later creation that exceeds it, with its status."""
-
-    parameter: str
-    value: int
-    exceeding: dict[str, Any]
-    status: str
-
-
 _LOWERED = {
-    "values": Lowered("VARDISPAR_MAX_VALUE_LENGTH", _SHORT, {"value": b"v" * _LONG}, VALUE_TOO_LONG),
-    "descriptions": Lowered("VARDISPAR_MAX_DESCRIPTION_LENGTH", _SHORT, {"descr": "d" * _LONG}, DESCRIPTION_TOO_LONG),
-    "repetitions": Lowered("VARDISPAR_MAX_REPETITIONS", 1, {"rep_cnt": _COUNT}, ILLEGAL_REPCOUNT),
+    "VARDISPAR_MAX_VALUE_LENGTH": _SHORT,
+    "VARDISPAR_MAX_DESCRIPTION_LENGTH": _SHORT,
+    "VARDISPAR_MAX_REPETITIONS": 1,
 }
-_REFUSALS = {"values": "VD-CRE-05", "descriptions": "VD-CRE-04", "repetitions": "VD-CRE-07"}
+#: Requests that exceed one of the lowered limits, their statuses and requirements.
+_EXCEEDING: tuple[tuple[dict[str, Any], str, str], ...] = (
+    ({"value": b"v" * _LONG}, VALUE_TOO_LONG, "VD-CRE-05"),
+    ({"descr": "d" * _LONG}, DESCRIPTION_TOO_LONG, "VD-CRE-04"),
+    ({"rep_cnt": _COUNT}, ILLEGAL_REPCOUNT, "VD-CRE-07"),
+)
 
 
 @case(
     "TC_VD_CHG_BV_01",
-    "A lowered limit does not affect existing variables: they are repeated, answered and updated ({variant})",
-    requirements="VD-PAR-01",
+    "Lowered limits do not affect existing variables: they are repeated, answered and updated",
+    requirements="VD-PAR-01 VD-RC-03 VD-RU-04 VD-PS-03 VD-CMP-09",
     stimulus=(
         "a received variable and an own one, with values and descriptions of 12 octets and repCnt 3, are updated; "
         "while "
-        "their VarUpdates are pending, the maximum of {variant} is lowered below theirs; then requests for them, older "
-        "summaries, and further updates with short values"
+        "their VarUpdates are pending, the maximum lengths are lowered to 6 and the most repetitions to 1; then "
+        "requests for them, older summaries, and further updates with short values"
     ),
     expect=(
-        "each VarUpdate in three beacons; the answers in three beacons each; the updates are accepted; a new "
-        "variable with the former lengths is rejected"
+        "each VarUpdate in three beacons; the answers in three beacons each; the updates are accepted; new variables "
+        "that exceed one of the limits are rejected"
     ),
     window=40,
-    variants={
-        name: Variant(
-            value,
-            requirements=f"VD-PAR-01 {_REFUSALS[name]}",
-            needs=Needs(SpecVersion.V1_1, ut=_SET, when=several_repetitions),
-        )
-        for name, value in _LOWERED.items()
-    },
+    needs=Needs(SpecVersion.V1_1, ut=_SET, when=several_repetitions),
 )
-def lowered(bench: Bench, change: Lowered) -> None:
-    refusal, count = bench.case.requirements[1], bench.sut.rep_cnt(_COUNT)
-    lengths = (bench.sut.parameter(_LOWERED["values"].parameter), bench.sut.longest_description)
+def lowered(bench: Bench) -> None:
+    count = bench.sut.rep_cnt(_COUNT)
+    lengths = (bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"), bench.sut.longest_description)
     if min(lengths) < _LONG:
         bench.verdicts.not_applicable(f"values and descriptions have at most {lengths[0]} and {lengths[1]} octets")
     peer, name, own = bench.peer(), bench.var_id(), bench.identifiers.own_var_id()
@@ -83,7 +71,7 @@ def lowered(bench: Bench, change: Lowered) -> None:
     start = bench.mark()
     peer.send(peer.update(name, 1, b"another one"))
     bench.must("RTDB-Update", varId=own, value=bench.records.value(b"next of 12 o").hex())
-    with parameters_set(bench, "VD", **{change.parameter: change.value}):
+    with parameters_set(bench, "VD", **_LOWERED):
         for each in (name, own):
             bench.check_repeated(_UPDATE, each, count, start, "VD-PAR-01", "VD-CMP-09")
         # The sequence numbers of both are 1.
@@ -101,10 +89,11 @@ def lowered(bench: Bench, change: Lowered) -> None:
         bench.expect_status(OK, "RTDB-Update", "VD-PAR-01", "VD-UPD-05", varId=own, value=b"few".hex())
         for each in (name, own):
             bench.check_repeated(_UPDATE, each, count, start, "VD-PAR-01", "VD-PU-07", "VD-UPD-08")
-        # The other fields have the least values.
-        given: dict[str, Any] = {"rep_cnt": 1, "value": b"v", "descr": "d"} | change.exceeding
-        new = create_request(bench, bench.identifiers.own_var_id(), exact=True, **given)
-        bench.expect_status(change.status, "RTDB-Create", refusal, "VD-PAR-01", **new)
+        for exceeding, status, requirement in _EXCEEDING:
+            # The other fields have the least values.
+            given: dict[str, Any] = {"rep_cnt": 1, "value": b"v", "descr": "d"} | exceeding
+            new = create_request(bench, bench.identifiers.own_var_id(), exact=True, **given)
+            bench.expect_status(status, "RTDB-Create", requirement, "VD-PAR-01", **new)
 
 
 @case(
@@ -133,41 +122,42 @@ def summaries_again(bench: Bench) -> None:
 
 @case(
     "TC_VD_CHG_BV_03",
-    "Records that do not fit into a lowered VARDISPAR_MAX_PAYLOAD_SIZE are sent when it is raised again ({variant})",
-    requirements="VD-CMP-13 VD-PAR-01",
+    "Records that do not fit into a lowered VARDISPAR_MAX_PAYLOAD_SIZE are sent when it is raised again",
+    requirements="VD-CMP-13 VD-PAR-01 VD-CMP-06 VD-CMP-09",
     stimulus=(
-        "a request for a known variable with the most repetitions ({variant}); at once VARDISPAR_MAX_PAYLOAD_SIZE is "
-        "lowered below its record; four periods later the former value"
+        "a request for one known variable and one for an update of another, with up to eight repetitions; at once "
+        "VARDISPAR_MAX_PAYLOAD_SIZE is lowered below their records; three periods later the former value"
     ),
-    expect="payloads of at most the lowered size soon afterwards; in total the record in repCnt beacons",
+    expect="payloads of at most the lowered size soon afterwards; in total each record in repCnt beacons",
     window=40,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter"), when=several_repetitions),
-    variants={
-        "creates": Variant(_CREATE, requirements="VD-CMP-13 VD-PAR-01 VD-CMP-06"),
-        "updates": Variant(_UPDATE, requirements="VD-CMP-13 VD-PAR-01 VD-CMP-09"),
-    },
+    long=True,
 )
-def raised_again(bench: Bench, kind: ICType) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), max_repetitions(bench)
+def raised_again(bench: Bench) -> None:
+    peer, count = bench.peer(), bench.sut.rep_cnt(8)
     value, descr = bench.records.value(b"v" * 24), bench.records.descr(b"description")
-    create = peer.create(name, value=value, descr=descr, seqno=5, rep_cnt=count)
-    bench.learn(peer, create)
-    record = create if kind is _CREATE else create.upd
-    limit = bench.builder.container_header_size + bench.builder.record_size(record) - 1
+    asked, behind = (
+        peer.create(each, value=value, descr=descr, seqno=5, rep_cnt=count) for each in bench.identifiers.var_ids(2)
+    )
+    bench.learn(peer, asked, behind)
+    limit = bench.builder.container_header_size + bench.builder.record_size(behind.upd) - 1
     # The limits of other parameters depend on the size of a payload.
     with parameters_set(bench, "VD", **{SUMMARIES: 0, "VARDISPAR_MAX_DESCRIPTION_LENGTH": 2}):
         start = bench.mark()
-        peer.send(peer.request_create(name) if kind is _CREATE else peer.request_update(name, 4))
+        peer.send(peer.request_create(asked.spec.var_id), peer.request_update(behind.spec.var_id, 4))
         with parameters_set(bench, "VD", **{PAYLOAD_SIZE: limit}):
             if not least_left(bench, count, start):
                 bench.inconclusive("repetitions that are left when the size is lowered", "none may be left")
             bench.beacons(bench.sut.ahead, bench.sut.ahead + 1)
-            lowered = bench.mark()
-            bench.wait(4)
-            late = bench.instructions(kind, name, lowered)
+            middle = bench.mark()
+            bench.wait(3)
+            late = bench.instructions(_CREATE, asked.spec.var_id, middle)
+            late += bench.instructions(_UPDATE, behind.spec.var_id, middle)
             bench.none(late, f"no record longer than {limit} octets", "VD-IC-05", "VD-PAR-01")
-        found = bench.check_repeated(kind, name, count, start)
-        bench.every(found, lambda each: each.record == record, "the record as stored", "VD-PAR-01", "VD-TYP-06")
+        for kind, record in ((_CREATE, asked), (_UPDATE, behind)):
+            found = bench.check_repeated(kind, record.spec.var_id, count, start)
+            right = record if kind is _CREATE else record.upd
+            bench.every(found, lambda each, right=right: each.record == right, "the record as stored", "VD-TYP-06")
 
 
 @case(

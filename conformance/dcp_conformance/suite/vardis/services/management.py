@@ -99,7 +99,7 @@ def discards(bench: Bench) -> None:
     with bench.services.deactivated("VD"):
         mark = bench.mark()
         peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
-        bench.wait(max(2, bench.sut.processing))
+        bench.wait(max(2, bench.session.known.processing))
     bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")

@@ -23,6 +23,7 @@ from dcp_conformance.test_steps.services import (
     deleted_status,
     same_status,
 )
+from dcp_conformance.test_steps.timeouts import scrubs
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_state, stepped, traces
 from dcp_conformance.test_system.bench import MS, Bench
 
@@ -296,7 +297,7 @@ def timeout(bench: Bench, state: str) -> None:
         bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     if not came and state.endswith("consumer"):
         if check_state(bench, ask(bench, var_id), "alive", "state of a variable that is not scrubbed"):
-            bench.reading("X26", "producer-only")
+            scrubs(bench, by_consumers=False)
         return
     late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
     bench.required(came, f"a VarDelete {late}")
@@ -306,5 +307,5 @@ def timeout(bench: Bench, state: str) -> None:
     )
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     if state.endswith("consumer"):
-        bench.reading("X26", "every-node")
+        scrubs(bench, by_consumers=True)
     check_state(bench, ask(bench, var_id), "deleted", "state of the variable")

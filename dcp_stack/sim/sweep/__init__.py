@@ -1,0 +1,1 @@
+"""Studies: a scenario with lists of values, run for all combinations and several seeds."""

@@ -1,0 +1,154 @@
+"""The results of the runs of a study: a file that grows by a line for each run, and tables of them."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from dcp_stack.sim.measuring import DelayRow
+from dcp_stack.sim.virtual.player import simulate
+
+from .plan import Run, Study
+
+#: Receptions below which a mean is marked: its confidence interval says little.
+FEW: Final = 10
+#: Place of receptions without a path in the order of distances.
+_NO_PATH: Final = 1 << 30
+#: Two-sided 95 % quantiles of Student's t by degrees of freedom, from 1 on; the normal quantile beyond.
+_T: Final = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+)  # fmt: skip
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of one run. ``newest``: mean share of the other nodes that have the newest value of a variable."""
+
+    key: str
+    cell: int
+    seed: int
+    digest: str
+    met: bool
+    newest: float | None
+    octets: int
+    beacons: int
+    delays: list[DelayRow]
+    cpu_s: float
+
+
+def outcome(run: Run) -> Outcome:
+    """Execute a run."""
+    report = simulate(run.scenario)
+    seconds = sum(each.seconds for each in report.consistency)
+    newest = sum(each.newest_share * each.seconds for each in report.consistency) / seconds if seconds else None
+    return Outcome(
+        key=run.key,
+        cell=run.cell,
+        seed=run.seed,
+        digest=report.digest,
+        met=report.met,
+        newest=newest,
+        octets=sum(each.octets_sent for each in report.traffic),
+        beacons=sum(each.beacons_sent for each in report.traffic),
+        delays=report.delays,
+        cpu_s=report.cpu_s,
+    )
+
+
+def stored(path: Path) -> dict[str, Outcome]:
+    """Return the outcomes in a file of lines by their keys; an incomplete last line is ignored."""
+    found = {}
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        try:
+            each = msgspec.json.decode(line, type=Outcome)
+        except msgspec.DecodeError:
+            continue
+        found[each.key] = each
+    return found
+
+
+def rows(study: Study, outcomes: Iterable[Outcome]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each run, kind of value and distance."""
+    for each in outcomes:
+        run = {**study.cells[each.cell], "seed": each.seed}
+        about = {name: getattr(each, name) for name in ("met", "newest", "octets", "beacons", "digest")}
+        for delay in each.delays:
+            yield {**run, **msgspec.to_builtins(delay), **about}
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """A mean over seeds, and half of its 95 % confidence interval; None with fewer than two seeds."""
+
+    mean: float
+    half: float | None
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Estimate | None:
+        """Return the estimate, None without a value."""
+        if not values:
+            return None
+        if len(values) < 2:
+            return cls(values[0], None)
+        free = len(values) - 1
+        t = _T[free - 1] if free <= len(_T) else statistics.NormalDist().inv_cdf(0.975)
+        return cls(statistics.fmean(values), t * statistics.stdev(values) / math.sqrt(len(values)))
+
+    def text(self, digits: int) -> str:
+        """Return ``mean +- half``."""
+        return f"{self.mean:.{digits}f}" + ("" if self.half is None else f" +- {self.half:.{digits}f}")
+
+
+class Summary(msgspec.Struct, frozen=True, kw_only=True):
+    """The values of one kind at one distance in one cell, over all seeds."""
+
+    cell: int
+    kind: str
+    hops: int | None
+    seeds: int
+    received: int
+    share: Estimate | None
+    delay_ms: Estimate | None
+    newest: Estimate | None
+
+    @property
+    def few(self) -> bool:
+        """Whether the delay is that of few receptions."""
+        return self.received < FEW
+
+
+def summaries(outcomes: Iterable[Outcome]) -> list[Summary]:
+    """Return the summaries of all cells, sorted by cell, kind and distance."""
+    groups: dict[tuple[int, str, int], list[tuple[Outcome, DelayRow]]] = {}
+    for each in sorted(outcomes, key=lambda outcome: (outcome.cell, outcome.seed)):
+        for delay in each.delays:
+            hops = _NO_PATH if delay.hops is None else delay.hops
+            groups.setdefault((each.cell, delay.kind, hops), []).append((each, delay))
+    return [
+        Summary(
+            cell=cell,
+            kind=kind,
+            hops=found[0][1].hops,
+            seeds=len(found),
+            received=sum(delay.received for _, delay in found),
+            share=Estimate.of([delay.share for _, delay in found]),
+            delay_ms=Estimate.of([delay.mean_ms for _, delay in found if delay.mean_ms is not None]),
+            newest=Estimate.of([each.newest for each, _ in found if each.newest is not None]),
+        )
+        for (cell, kind, _), found in sorted(groups.items(), key=lambda item: item[0])
+    ]
+
+
+def farthest(found: Sequence[Summary]) -> list[Summary]:
+    """Return for each cell the summary of its updates (without any, creations) at the longest distance."""
+    best: dict[int, Summary] = {}
+    for each in found:
+        if each.hops is not None:
+            known = best.get(each.cell)
+            if known is None or (each.kind == "update", each.hops) > (known.kind == "update", known.hops or 0):
+                best[each.cell] = each
+    return [best[cell] for cell in sorted(best)]

@@ -1,0 +1,169 @@
+"""``dcp-node sweep``: plans, resumed studies, estimates and bundles."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import statistics
+
+import pytest
+
+from dcp_stack.cli import main
+from dcp_stack.sim.scenario.definition import ScenarioError
+from dcp_stack.sim.sweep.plan import load_study, study_from
+from dcp_stack.sim.sweep.results import Estimate, outcome, stored
+
+STUDY = """
+nodes = 3
+duration_s = 3.0
+topology = "line"
+srp = false
+events = [
+  { do = "create", node = 0, variable = 1, at_s = 0.5, text = "0" },
+  { do = "update", node = 0, variable = 1, at_s = 1.0, every_s = 0.3, times = 5, text = "{n}" },
+]
+[sweep]
+seeds = 2
+"link.loss" = [0.0, 0.4]
+"events.*.repetitions" = [1, 2]
+"""
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["sweep", *map(str, arguments)])
+        shown = capsys.readouterr()
+        return ended.value.code, shown.out, shown.err
+
+    return call
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def test_runs_are_all_combinations_with_all_seeds(study):
+    found = load_study(study)
+    assert found.axes == ("link.loss", "events.*.repetitions")
+    assert [tuple(each.values()) for each in found.cells] == [(0.0, 1), (0.0, 2), (0.4, 1), (0.4, 2)]
+    runs = found.runs("study")
+    assert [(each.cell, each.seed) for each in runs] == [(cell, seed) for cell in range(4) for seed in (1, 2)]
+    assert len({each.key for each in runs}) == 8
+    assert runs[-1].scenario.link.loss == 0.4
+    assert runs[-1].scenario.events[0].repetitions == 2
+    zipped = study.with_name("zipped.toml")
+    zipped.write_text(STUDY + "zipped = true\n")
+    assert [tuple(each.values()) for each in load_study(zipped, 1).cells] == [(0.0, 1), (0.4, 2)]
+
+
+def test_a_study_is_resumed_and_verified(run, study, tmp_path):
+    out = tmp_path / "study"
+    status, output, _ = run(study, "--jobs", 1)
+    assert status == 0
+    assert output.startswith("8 of 8 runs (0 resumed), ")
+    names = ["bundle.json", "plot.svg", "runs.csv", "runs.jsonl", "runs.parquet", "table.csv"]
+    assert sorted(each.name for each in out.iterdir()) == names
+    first = {name: (out / name).read_bytes() for name in ("table.csv", "runs.csv", "bundle.json", "plot.svg")}
+    # An incomplete last line, as after a loss of power.
+    lines = (out / "runs.jsonl").read_bytes().splitlines(keepends=True)
+    (out / "runs.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:50])
+    status, output, _ = run(study, "--jobs", 2)
+    assert (status, output.partition(",")[0]) == (0, "8 of 8 runs (3 resumed)")
+    assert {name: (out / name).read_bytes() for name in first} == first
+    assert run(study, "--verify", out / "bundle.json", "--jobs", 1)[:2] == (0, "8 of 8 runs have the same digest\n")
+    bundle = json.loads(first["bundle.json"])
+    bundle["digests"] = dict.fromkeys(bundle["digests"], "0" * 64)
+    (out / "bundle.json").write_text(json.dumps(bundle))
+    status, output, _ = run(study, "--verify", out / "bundle.json", "--jobs", 1)
+    assert status == 1
+    assert output.endswith("0 of 8 runs have the same digest\n")
+
+
+def test_an_interruption_keeps_the_runs_that_are_done(run, study, tmp_path, monkeypatch):
+    from dcp_codec.common import workers
+
+    def interrupted(work, items, _jobs):
+        for place, item in enumerate(items):
+            if place == 3:
+                raise KeyboardInterrupt
+            yield place, work(item)
+
+    monkeypatch.setattr(workers, "completed", interrupted)
+    status, output, _ = run(study)
+    assert status == 4
+    assert output.startswith("3 of 8 runs (0 resumed), ")
+    assert len(stored(tmp_path / "study" / "runs.jsonl")) == 3
+
+
+def test_the_table_has_means_over_seeds(run, study, tmp_path):
+    run(study, "--jobs", 1)
+    found = load_study(study)
+    outcomes = [outcome(each) for each in found.runs("study")]
+    with (tmp_path / "study" / "table.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(each["link.loss"], each["events.*.repetitions"]) for each in rows[::4]] == [
+        ("0.0", "1"),
+        ("0.0", "2"),
+        ("0.4", "1"),
+        ("0.4", "2"),
+    ]
+    for row in rows:
+        cell = next(
+            number for number, each in enumerate(found.cells) if [*map(str, each.values())] == [*row.values()][:2]
+        )
+        delays = [
+            delay
+            for each in outcomes
+            if each.cell == cell
+            for delay in each.delays
+            if (delay.kind, str(delay.hops)) == (row["kind"], row["hops"])
+        ]
+        assert int(row["received"]) == sum(each.received for each in delays)
+        assert float(row["share"]) == pytest.approx(statistics.fmean(each.share for each in delays))
+        assert row["few"] == str(int(row["received"]) < 10)
+
+
+def test_seeds_are_added_until_the_intervals_are_narrow(run, study, tmp_path):
+    status, output, _ = run(study, "--until-ci", 0.3, "--jobs", 1)
+    assert status == 0
+    with (tmp_path / "study" / "table.csv").open() as file:
+        rows = [each for each in csv.DictReader(file) if (each["kind"], each["hops"]) == ("update", "2")]
+    assert {each["seeds"] for each in rows if each["link.loss"] == "0.0"} == {"2"}
+    assert max(int(each["seeds"]) for each in rows) > 2
+    assert all(float(each["share_ci95"]) <= 0.3 for each in rows)
+    assert output.startswith(f"{sum(int(each['seeds']) for each in rows)} of ")
+
+
+def test_confidence_intervals():
+    # By hand: sd of 1, 2, 3, 4, 5 is sqrt(2.5); t(0.975, 4) = 2.776.
+    found = Estimate.of([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert found.mean == 3
+    assert found.half == pytest.approx(2.776 * math.sqrt(2.5 / 5))
+    assert found.text(1) == "3.0 +- 2.0"
+    assert Estimate.of([2.0]).text(2) == "2.00"
+    assert Estimate.of([]) is None
+    assert Estimate.of([0.0, 1.0] * 50).half == pytest.approx(1.959964 * statistics.stdev([0.0, 1.0] * 50) / 10)
+
+
+def test_invalid_studies_are_refused(run, study, tmp_path):
+    for sweep, problem in (
+        (None, "sweep: a study needs this table"),
+        ({"link.loss": 0.1}, "sweep.link.loss: must be a list of at least one value"),
+        ({"seeds": 0}, "sweep.seeds: must be an integer of at least 1, not 0"),
+        ({"zipped": 1}, "sweep.zipped: must be true or false"),
+        ({"zipped": True, "a": [1], "b": [1, 2]}, "zipped lists must have the same length"),
+        ({"a": list(range(2000)), "b": list(range(2000))}, "more than 1,000,000 runs"),
+    ):
+        with pytest.raises(ScenarioError, match=problem):
+            study_from({} if sweep is None else {"sweep": sweep}, tmp_path, "study")
+    study.write_text(STUDY.replace("0.4]", "4.0]"))
+    status, _, errors = run(study)
+    assert status == 2
+    assert "study.toml (link.loss = 4.0, events.*.repetitions = 1): link: " in errors
+    assert run(tmp_path / "none.toml")[0] == 2
