@@ -42,7 +42,7 @@ class Sequence(msgspec.Struct, frozen=True, omit_defaults=True):
 class Corpus(msgspec.Struct, frozen=True):
     """The file of sequences."""
 
-    seed: int
+    seeds: tuple[int, ...]
     sequences: tuple[Sequence, ...]
 
 
@@ -63,14 +63,18 @@ def usable(steps: tuple[Step, ...], longest: float) -> bool:
     )
 
 
-def selected(drawn: list[tuple[Sequence, frozenset[tuple[str, str]]]], most: int) -> list[Sequence]:
-    """Return up to ``most`` sequences that together reach the most pairs of state and event, rare ones first."""
+def selected(
+    drawn: list[tuple[Sequence, frozenset[tuple[str, str]]]],
+    most: int,
+    reached: frozenset[tuple[str, str]] = frozenset(),
+) -> list[Sequence]:
+    """Return up to ``most`` sequences that together reach the most pairs of state and event beside ``reached``."""
     rarity: Counter[tuple[str, str]] = Counter()
     for _, pairs in drawn:
         rarity.update(pairs)
     left = list(drawn)
     chosen: list[Sequence] = []
-    seen: set[tuple[str, str]] = set()
+    seen = set(reached)
     while left and len(chosen) < most:
         best = max(left, key=lambda each: sum(1 / rarity[pair] for pair in sorted(each[1] - seen)))
         if not best[1] - seen:
@@ -78,4 +82,4 @@ def selected(drawn: list[tuple[Sequence, frozenset[tuple[str, str]]]], most: int
         left.remove(best)
         seen |= best[1]
         chosen.append(best[0])
-    return sorted(chosen, key=lambda each: each.theme)
+    return chosen

@@ -5,17 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from .corpus import Corpus, Sequence, selected, usable
+from .driver import Driver
 from .executor import Executor
 from .machine import NodeMachine
 from .search import search
 
 #: Longest sequence that a run executes, in beacon periods and in steps.
-_LONGEST = 40.0
-_STEPS = 9
+_LONGEST = 60.0
+_STEPS = 10
 
 
-def drawn(make: Callable[[], Executor], *, seed: int, sequences: int, most: int) -> Corpus:
-    """Draw ``sequences`` sequences, and select up to ``most`` of them. Raises the counterexample if there is one."""
+def drawn(make: Callable[[], Executor], before: Corpus, *, seed: int, sequences: int, most: int) -> Corpus:
+    """Draw ``sequences`` sequences, and add up to ``most`` of them. Raises the counterexample if there is one.
+
+    Those of ``before`` remain in their places, so that the cases keep their identifiers.
+    """
+    reached: set[tuple[str, str]] = set()
+    for each in before.sequences:
+        driver = Driver(make())
+        driver.run(each.steps)
+        reached |= driver.pairs
     found: dict[str, tuple[Sequence, frozenset[tuple[str, str]]]] = {}
 
     class Drawing(NodeMachine):
@@ -29,4 +38,6 @@ def drawn(make: Callable[[], Executor], *, seed: int, sequences: int, most: int)
     result = search(make, sequences=sequences, steps=_STEPS, seed=seed, shrink=False, machine=Drawing)
     if result.counterexample is not None:
         raise result.counterexample
-    return Corpus(seed, tuple(selected(list(found.values()), most)))
+    added = selected(list(found.values()), most, frozenset(reached))
+    every = sorted((*before.sequences, *added), key=lambda each: each.theme)
+    return Corpus((*before.seeds, seed), tuple(every))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sut_properties import Capacity
 
 from .driver import Counterexample, Driver, table
 from .on_bench import BenchExecutor
@@ -34,6 +35,9 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     expected = "every observation is one that the model allows"
     if unknown := BenchExecutor.unknown(bench, *_protocols(steps)):
         bench.verdicts.not_applicable(f"the value of {unknown} is not known: state it in the PIXIT")
+    for what, count in _room(steps).items():
+        if lacking := bench.sut.lacks(what, count):
+            bench.verdicts.not_applicable(lacking)
     found = execute(bench, steps, alone=alone)
     if found is None:
         bench.passed(expected)
@@ -76,3 +80,16 @@ def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:
     if any(isinstance(each, Records) for each in blocks) or any(each.startswith(("RTDB", "VD")) for each in methods):
         found.append("VARDISPAR")
     return tuple(found)
+
+
+def _room(steps: Sequence[Step]) -> dict[Capacity, int]:
+    """Return how many entries of each kind a sequence needs at most."""
+    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    params = [each.params for each in steps if isinstance(each, Call)]
+    return {
+        "queue_entries": max((each.get("maxEntries", 0) for each in params), default=0),
+        "clients": len({each["protId"] for each in params if "protId" in each}),
+        "neighbours": sum(each.count for each in blocks if isinstance(each, Report)),
+        "variables": sum(each.count for each in blocks if isinstance(each, Records))
+        + len({each["varId"] for each in params if "varId" in each}),
+    }
