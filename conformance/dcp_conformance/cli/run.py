@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     sections={
         "Selection": "section exclude plan failed artefacts",
         **TARGET_SECTIONS,
-        "Execution": "repeat until_fail max_fails jobs side_by_side impair pytest_options dry_run",
+        "Execution": "repeat max_fails jobs side_by_side impair pytest_options dry_run",
         "Output": "report_dir expected verbose quiet",
     },
 )
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     help="Only cases that failed or were undecided in an earlier report (its folder, or results.json).",
 )
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run all cases N times.  [default: 1]")
-@click.option("--until-fail", is_flag=True, help="Stop at the first fail.")
 @click.option("--max-fails", type=click.IntRange(1), metavar="N", help="Stop after N failed cases, and report them.")
 @click.option(
     "--jobs",
@@ -97,7 +96,6 @@ def command(**options: Any) -> int:
         expected=options["expected"],
         artefacts=options["artefacts"],
         repeat=options["repeat"],
-        until_fail=options["until_fail"],
         max_fails=options["max_fails"] or 0,
         side_by_side=_at_a_time(options),
         command=as_typed(),

@@ -65,7 +65,6 @@ class ConformanceRun:
         *,
         expected: Path | None = None,
         repeat: int = 1,
-        until_fail: bool = False,
         max_fails: int = 0,
         command: str = "",
         artefacts: Path | None = None,
@@ -77,7 +76,7 @@ class ConformanceRun:
 
         ``on_start`` is called with the number of executions, ``on_result`` with each case, its result, and why the
         result is unexpected (empty if it is expected). ``expected`` is a file of expected results. ``repeat`` is the
-        number of repetitions of all cases. ``until_fail`` ends the run at the first fail, ``max_fails`` after so many
+        number of repetitions of all cases. ``max_fails`` is the number of failed cases after which the run ends
         (0: never). ``artefacts`` is a folder of findings of the fuzzer, which become cases. ``side_by_side`` is the
         maximum number of concurrent cases; 0 or 1 executes them in succession.
         """
@@ -103,8 +102,7 @@ class ConformanceRun:
             else ExpectedResults.load(expected, [*self.cases.values(), *self._invariants.values()])
         )
         self.repeat = repeat
-        self.max_fails = 1 if until_fail else max_fails
-        self.until_fail = bool(self.max_fails)
+        self.max_fails = max_fails
         self.side_by_side = side_by_side
         self.command = command
         self.repeated_alone: dict[str, str] = {}
@@ -116,7 +114,7 @@ class ConformanceRun:
         self.trouble = ""
         """Why the run could not begin or be completed: a problem of the tester, not of the implementation."""
         self._stopped = False
-        """Whether ``until_fail`` has ended the run."""
+        """Whether ``max_fails`` has ended the run."""
         self.usage = False
         """Whether the user has caused the trouble (exit status 2)."""
         self.interrupted = False
@@ -171,7 +169,7 @@ class ConformanceRun:
     def execute(self, on_revised: Callable[[CaseResult], None] | None = None) -> None:
         """Execute the run in this process.
 
-        Every planned case has a result afterwards, unless a signal or ``until_fail`` ended the run; :attr:`trouble` is
+        Every planned case has a result afterwards, unless a signal or ``max_fails`` ended the run; :attr:`trouble` is
         the reason if the run could not be completed. ``on_revised`` is called with each result that replaces an earlier
         one.
         """

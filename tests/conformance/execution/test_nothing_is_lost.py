@@ -113,7 +113,7 @@ def test_an_error_between_cases_becomes_the_result_of_cases_that_were_not_run(mo
     assert run.exit_status() == 4
 
 
-@pytest.mark.parametrize(("options", "lost"), [({"repeat": 2}, 1), ({"until_fail": True}, 1), ({}, 1)])
+@pytest.mark.parametrize(("options", "lost"), [({"repeat": 2}, 1), ({"max_fails": 1}, 1), ({}, 1)])
 def test_a_lost_execution_is_noticed(options: dict[str, object], lost: int, monkeypatch: pytest.MonkeyPatch):
     take = Run.take
     dropped: list[str] = []
@@ -133,7 +133,7 @@ def test_a_lost_execution_is_noticed(options: dict[str, object], lost: int, monk
 
 def test_a_run_that_ends_with_the_first_failure_has_lost_nothing(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Runner, "run", lambda _self, case, attempt: failing(case, attempt))
-    run = Run(until_fail=True)
+    run = Run(max_fails=1)
     run.execute()
     assert [result.id for result in run.results] == [SANITY]
 

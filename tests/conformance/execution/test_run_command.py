@@ -261,7 +261,7 @@ class TestWhatIsRun:
 
     def test_until_it_fails(self, dcp_conformance: Command, failing: tuple[str, ...], tmp_path: Path):
         done = dcp_conformance(
-            "run", *failing, FAILS, ONE, "--until-fail", "--repeat", "5", "--report-dir", tmp_path
+            "run", *failing, FAILS, ONE, "--max-fails", "1", "--repeat", "5", "--report-dir", tmp_path
         )  # fmt: skip
         assert done.status == UNEXPECTED
         assert [case.id for case in load_results(tmp_path).cases] == [SANITY, FAILS]

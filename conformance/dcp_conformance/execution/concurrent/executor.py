@@ -222,7 +222,7 @@ class SideBySide:
                     if self._runner.life.ended():
                         self._doubtful = True
                         self._suspects = self._suspects or list(self._live)
-                        # The other cases would wait in vain.
+                        # The other cases would wait for nothing.
                         cut_off = list(self._live.values())
                         scheduler.abandon("the implementation has ended")
                         break
