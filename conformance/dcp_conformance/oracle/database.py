@@ -418,6 +418,9 @@ class VardisModel(Oracle):
             if var_id not in self.mine or variable is None or variable.uncertain or variable.due != NEVER:
                 continue
             for each in self._owed.get(var_id, []):
+                # The head of createQ or updateQ may have a size that the model does not know, and hold up the others.
+                if each.kind in (_CREATES, _UPDATES):
+                    continue
                 there = groups.get(each.kind, ())
                 if each.time + self.late >= since or len(there) >= 255:
                     continue
