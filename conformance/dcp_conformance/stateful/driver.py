@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_VARDIS
+from dcp_spec.constants import BP_PROTID_VARDIS, QueueingMode, features
 
 from dcp_codec.plan.tree import snake
 from dcp_codec.values import (
@@ -247,6 +247,10 @@ class Driver:
         for name in ("descr", "name"):
             if isinstance(params.get(name), int):
                 params[name] = _letters(params[name])
+        modes = features(self.executor.codec.profile.spec_version).queueing_modes
+        if params.get("queueingMode", "").startswith(QueueingMode.QUEUE) and params["queueingMode"] not in modes:
+            # 1.0 has one mode with a queue.
+            params["queueingMode"] = str(QueueingMode.QUEUE)
         if step.method == "SRP-UpdateSafetyData":
             params["sData"] = self._safety_data(self._handed)
             self._handed += 1
