@@ -365,7 +365,7 @@ class VardisModel(Oracle):
             for record in container.records:
                 for each in self._owed.get(_var_id(record), ()) if record.IC_TYPE is not None else ():
                     if each.kind is record.IC_TYPE and each.kind in (_CREATE_REQUESTS, _DELETES):
-                        latest = max(latest, each.time + self._whole)
+                        latest = max(latest, each.time)
         return latest
 
     def _named(self, requirement: str, var_id: int) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ If they cannot be set, the maximum payload size is that of the PIXIT, and the le
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from dcp_spec.constants import ICType
@@ -16,6 +16,7 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
 _ATTEMPTS: Final = 6
+_OURS_ONLY: Final = "payloads with the records of this case only, which it needs"
 PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
 
@@ -39,19 +40,28 @@ def undisturbed(bench: Bench, kind: ICType, attempt: Callable[[], list[ReceivedB
     An application on the node may update a variable of its own, whose records take room. Stops as inconclusive if they
     do so each time. Only records count that are composed before those of ``kind`` or with them.
     """
-    order = bench.features.container_order
-    earlier = order[: order.index(kind) + 1]
     for _ in range(_ATTEMPTS):
         frames = attempt()
-        records = [each for heard in frames for each in heard.instructions() if each.kind in earlier]
-        strange = {each.var_id for each in records if bench.identifiers.is_applications(each.var_id)}
-        if not strange:
+        if not (strange := _of_applications(bench, kind, frames)):
             break
     else:
-        names = ", ".join(map(str, sorted(strange)))
-        what = "payloads with the records of this case only, which it needs"
-        bench.inconclusive(what, f"records of variable {names} in each of {_ATTEMPTS} attempts")
+        bench.inconclusive(_OURS_ONLY, f"{strange} in each of {_ATTEMPTS} attempts")
     return frames
+
+
+def require_undisturbed(bench: Bench, kind: ICType, frames: Iterable[ReceivedBeacon]) -> None:
+    """Stop as inconclusive if records of an application took room from those of ``kind`` in these beacons."""
+    if strange := _of_applications(bench, kind, frames):
+        bench.inconclusive(_OURS_ONLY, strange)
+
+
+def _of_applications(bench: Bench, kind: ICType, frames: Iterable[ReceivedBeacon]) -> str:
+    """Name the variables of applications with records that are composed before those of ``kind`` or with them."""
+    order = bench.features.container_order
+    earlier = order[: order.index(kind) + 1]
+    records = [each for heard in frames for each in heard.instructions() if each.kind in earlier]
+    strange = {each.var_id for each in records if bench.identifiers.is_applications(each.var_id)}
+    return f"records of variable {', '.join(map(str, sorted(strange)))}" if strange else ""
 
 
 def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int = 9) -> list[VarCreate] | None:

@@ -183,7 +183,7 @@ class Reporter:
         count = last.submissions - first.submissions
         exact = grown == count or not self.application()
         return self.bench.proved(
-            grown == count if exact else count <= grown < 1 << 16,
+            grown == count if exact else count <= grown < count + (1 << 16),
             f"a sequence number increased by {'' if exact else 'at least '}{count}",
             f"from {first.report.seqno} to {last.report.seqno}",
             *requirements,

@@ -157,20 +157,22 @@ _SUMMARISED = (
 #: The reports and payloads of the application delay the VarCreates that would fill the payloads.
 _NOT_FULL = r"^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case needs: room for a VarReqUpdate$"
 
+#: The reports of the application are in some beacons only.
+_OTHER_ROOM = r"^TC_BP_TX_BV_01-(one-octet|a-header): a beacon with room for exactly these payloads"
 #: The variable of the application is in nearly every payload, and its records take room.
 _FULL = (
-    r"^TC_VD_PAY_(BV_07-updates|BV_10-update-requests)(-less)?: payloads with the records of this case only"
-    r"|^TC_VD_(ROOM_BV_03|SCR_TI_15): .*which this case needs"
-    r"|^TC_BP_TX_BV_01-(one-octet|a-header): a beacon with room for exactly these payloads"
+    r"^TC_VD_(PAY_BV_07-updates.*|PAY_BV_10-update-requests.*|ORD_BV_0[13].*): payloads with the records of this case"
+    r"|^TC_VD_(ROOM_BV_03|SCR_TI_15): .*which this case needs: (none in time|room for a VarReqUpdate)$"
+    f"|{_OTHER_ROOM}"
 )
 
 VARIANTS = (
     Variant("V-APP-reports-10Hz", "has an application that submits safety data at 10 Hz", _SRP_WHY, _running(Pilot),
-        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED, _OTHER_ROOM)),
     Variant("V-APP-reports-50Hz", "has an application that submits safety data at 50 Hz", _SRP_WHY, _running(FastPilot),
-        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED, _OTHER_ROOM)),
     Variant("V-APP-reports-1Hz", "has an application that submits safety data at 1 Hz", _SRP_WHY, _running(SlowPilot),
-        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED, _OTHER_ROOM)),
     Variant(
         "V-APP-initial-report",
         "submits configured safety data when it starts",

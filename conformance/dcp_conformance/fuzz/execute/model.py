@@ -148,7 +148,8 @@ def _told(found: Found, profile: str, name: str, words: str, seed: int, coverage
     if found.counterexample is None:
         say(f"no counterexample{' that was seen twice' if found.flaky else ''}")
         return 0
-    say(str(found.counterexample))
+    for line in str(found.counterexample).splitlines():
+        say(line)
     if directory is not None:
         artefact = artefact_of(found.counterexample, profile, name=name, options=words, seed=seed, directory=directory)
         try:

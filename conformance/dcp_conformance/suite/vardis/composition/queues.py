@@ -10,7 +10,7 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE
+from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, require_undisturbed
 from dcp_conformance.test_steps.services import listed
 from dcp_conformance.test_steps.variable_queries import teach_variables
 from dcp_conformance.test_system.bench import Bench
@@ -142,6 +142,7 @@ def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
         if bench.instructions(kind, name, start):
             bench.inconclusive("a record that waits for the third payload", "it was sent at once")
     frames = bench.until_quiet(_about(kind, names), since=start)
+    require_undisturbed(bench, kind, bench.heard[start:])
     check_order_of_queue(bench, kind, names * count, start)
     if kind is _UPDATE:
         numbers = [each.record.seqno for each in bench.instructions(kind, name, start)]
