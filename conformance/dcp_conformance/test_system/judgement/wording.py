@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
+
+import msgspec
 
 from dcp_codec.values import RECORD_CLASSES
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
@@ -15,6 +19,8 @@ Evidence = ReceivedBeacon | Instruction | Mark
 #: Maximum number of values in an observation, and of octets of a value.
 _VALUES: Final = 8
 _OCTETS: Final = 64
+#: Octets in the text of a record, as Python writes them.
+_LITERAL: Final = re.compile(r"""b'(?:[^'\\]|\\.)*'|b"(?:[^"\\]|\\.)*\"""")
 
 
 def content(value: object) -> str:
@@ -22,9 +28,14 @@ def content(value: object) -> str:
     if isinstance(value, bytes):
         return value.hex() if len(value) <= _OCTETS else f"{len(value)} octets, {value[:_OCTETS].hex()}..."
     if isinstance(value, Instruction):
-        return f"{value.record}"
+        return content(value.record)
     if isinstance(value, ReceivedBeacon):
         return f"{value.problem or 'a beacon'}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(content, value))})"
+    if isinstance(value, msgspec.Struct):
+        # Records have numbers, octets and other records only, so that these are literals.
+        return _LITERAL.sub(lambda found: content(ast.literal_eval(found[0])), f"{value}")
     return f"{value}"
 
 
