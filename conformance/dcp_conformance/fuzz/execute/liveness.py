@@ -90,14 +90,19 @@ def _answers(bench: Bench, periods: float | None = None) -> bool:
         # Without VarDis no marker is answered.
         return _signs_of_life(bench)
     try:
-        return bench.probes.probe(periods)
+        return _marker(bench, periods)
     except StopCase:
         # No unused identifier is left. Try used ones, one of which may be unknown to it; then accept any sign of life.
         bench.identifiers.created.clear()
     try:
-        return bench.probes.probe(periods) or _signs_of_life(bench)
+        return _marker(bench, periods) or _signs_of_life(bench)
     except StopCase:
         return _signs_of_life(bench)
+
+
+def _marker(bench: Bench, periods: float | None) -> bool:
+    """Send a marker about an unknown variable: the case does not know in which state the others are."""
+    return bench.probes.ask(bench.session.known.question, periods)
 
 
 def _signs_of_life(bench: Bench) -> bool:

@@ -161,7 +161,7 @@ class Minimiser:
         """Try single damaged frames, which cause most crashes. A frame that is survived needs no restart."""
         if self._shrinker is None or self._first.kind not in STOPPED:
             return False
-        frames = [step for step in dict.fromkeys(reversed(steps)) if isinstance(step, Frame)]
+        frames = dict.fromkeys(step for step in reversed(steps) if isinstance(step, Frame))
         damaged = (frame for frame in frames if self._shrinker.is_damaged(frame.octets))
         return any(self._shows([frame]) for frame in itertools.islice(damaged, _ALONE))
 

@@ -138,13 +138,15 @@ def refused(bench: Bench, what: tuple[str, dict[str, Refusal]]) -> None:
         begun = bench.mark()
         bench.must("RTDB-Delete", varId=var_id)
         bench.waiting.repeated(_DELETE, var_id, begun)
-    before, start = entry_of(bench, var_id) or {}, bench.mark()
+    before, start = entry_of(bench, var_id), bench.mark()
+    if before is None:
+        bench.inconclusive("RTDB-DescribeVariable describes the variable, which this case needs", "it does not")
     for refusal in refusals.values():
         # Some nodes create no existing variable again (X20).
         statuses = (refusal.status(bench), *([EXISTS] if refusal.service == "RTDB-Create" else []))
         expect_any(bench, statuses, refusal.service, *bench.case.requirements, **refusal.params(bench, var_id))
         bench.wait(0.5)
-    after = entry_of(bench, var_id) or {}
+    after = bench.present(entry_of(bench, var_id), "a description of the variable", *bench.case.requirements)
     fixed = {name: value for name, value in before.items() if name not in _COUNTERS}
     bench.fields(after, *bench.case.requirements, **fixed)
     if state == "pending":
