@@ -14,7 +14,9 @@ _PLACES, _CLIENTS = 300, 8
 
 
 def _limits(bench: Bench) -> str | None:
-    """Return why the model of a node without limits cannot judge the implementation, or None; for ``Needs.when``."""
+    """Return why the model cannot judge the implementation, or None; for ``Needs.when``."""
+    if bench.profile.vardis.own_fields():
+        return "the model has no rules for the fields that the profile adds"
     return bench.sut.lacks("queue_entries", _PLACES) or bench.sut.lacks("clients", _CLIENTS) or None
 
 

@@ -9,6 +9,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.services import (
+    NOT_PRODUCER,
     create_request,
     created_again,
     entry_of,
@@ -75,7 +76,7 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
         since = learn(bench, peer, name, timeout_ms)
     if then == "rejected":
         bench.waiting.wait_ns(timeout_ms * MS * 3 // 4)
-        bench.call("RTDB-Update", varId=name, value="77")
+        bench.expect_status(NOT_PRODUCER, "RTDB-Update", "VD-UPD-03", varId=name, value="77")
     elif then:
         bench.wait(2)
         before = bench.now()
