@@ -35,7 +35,7 @@ def test_the_smoke_plan_detects_most_faults() -> None:
     smoke = load().smoke.keys()
     noticed = [fault for fault in faults if smoke & fault.fails]
     assert len(noticed) == sum(load().smoke.values())
-    assert len(noticed) > 0.7 * len(faults)
+    assert len(noticed) > 0.65 * len(faults)
 
 
 def test_a_good_part_of_the_smoke_plan_needs_no_upper_tester() -> None:

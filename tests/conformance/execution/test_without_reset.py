@@ -50,6 +50,9 @@ def still_reporting(profile: str, result: CaseResult) -> bool:
 
     Up to 1.2 SRP repeats it in every beacon until a reset.
     """
+    if result.reason.startswith("a beacon with room for exactly these payloads"):
+        # The summaries of variables of earlier cases take turns in the beacons.
+        return result.verdict is Verdict.INCONCLUSIVE and result.id.startswith("TC_BP_TX_BV_01-")
     return (
         codec_of(profile).profile.spec_version < SpecVersion.V1_3
         and result.id in ("TC_BP_HDR_BV_09", "TC_BP_HDR_BV_12")

@@ -125,7 +125,10 @@ _ANY_REFUSAL = frozenset(
 )
 def test_no_case_passes_with_unknown_statuses(case_id: str):
     """A status that the specification lacks, to every call of one method that the case makes."""
-    for method in set(known_cases()[case_id].needs.ut) - _UNJUDGED:
+    case = known_cases()[case_id]
+    # Sequences of the model that deactivate are undone afterwards by these, which are not judged.
+    undoing = {"BP-MGMT-Activate", "VD-MGMT-Activate"} if case.base == "TC_DCP_MODEL_BV_01" else set()
+    for method in set(case.needs.ut) - _UNJUDGED - undoing:
         result = result_of(case_id, method, Answer(ODD))
         made = any(each.direction == "call" and each.text.startswith(f"{method} ") for each in result.evidence)
         verdict = result.verdict

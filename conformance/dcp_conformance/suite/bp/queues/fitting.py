@@ -249,6 +249,8 @@ def most_blocks(bench: Bench) -> None:
     clients = [BPClient(bench, ONCE, size=1) for _ in range(BP_MAX_PAYLOADS + 5)]
     for client in clients:
         if not (answer := client.register()).ok:
+            if answer.code is None and not answer.known:
+                bench.wrong("a status of the specification", answer, "BP-REG-01")
             registered = clients.index(client)
             declared = bench.sut.capacity("clients") or 0
             what = f"registrations of {declared} clients, as declared"

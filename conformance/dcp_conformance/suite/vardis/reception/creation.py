@@ -167,8 +167,7 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
 def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
     stamp = bench.profile.types.timestamp
     if times[1] >= 1 << (8 * stamp.width - (1 if stamp.signed else 0)):
-        bench.info("creationTimes", f"not applicable: {times[1]} does not fit into {stamp.width} octets")
-        return
+        bench.verdicts.not_applicable(f"{times[1]} does not fit into a creationTime of the profile")
     peer = bench.peer()
     for order in (times, times[::-1]):
         # These creationTimes are long past, so the variable must never have been created before.
