@@ -22,6 +22,7 @@ from dcp_conformance.reference.namespace import Namespace, NamespaceError
 from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process, wait_for
 from dcp_conformance.sut.process import ProcessControl
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester.patience import Patience
 
 from dcp_codec import Codec
 from dcp_codec.common.processes import started_at
@@ -172,13 +173,13 @@ def test_a_case_that_crashes_the_node_is_named_and_the_next_one_runs(node):
 def test_a_node_that_hangs(node):
     """Stopped by a signal it is there, and does not answer."""
     upper = node.upper
-    upper._patience = 0.3
+    upper._patience = Patience(0.3)
     os.kill(pid_of(node), signal.SIGSTOP)
     with pytest.raises(UpperTesterError, match=r"UT-Hello was not answered within 0\.3 s"):
         upper.call("UT-Hello", {})
     assert node.control.alive() is True
     os.kill(pid_of(node), signal.SIGCONT)
-    upper._patience = PATIENCE
+    upper._patience = Patience(PATIENCE)
     assert upper.call("UT-Hello", {}).ok
 
 

@@ -235,7 +235,10 @@ class StreamUpperTester:
                 # Not a lost connection: the next answer may be right.
                 self.faults.add(Violation(method, str(error), "Values"))
                 raise ContractError(f"{self.name}: {method}: {error}") from None
-            return self._contract.answer(method, params, message, answer)
+            try:
+                return self._contract.answer(method, params, message, answer)
+            except ContractError as error:
+                raise ContractError(f"{self.name}: {error}") from None
 
     def _message(self, channel: Channel, deadline: float) -> dict[str, Any] | None:
         """The next message; None at the deadline. Raises ``UpperTesterError`` for what is none."""

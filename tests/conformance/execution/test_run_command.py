@@ -401,7 +401,7 @@ class TestLanes:
         foreign = replace(options, link=link, ut=f"exec:{sys.executable} {upper}")
         with open_target(foreign) as target:
             assert target.runner.session.upper is not None
-            assert target.runner.session.upper._patience == 20
+            assert target.runner.session.upper._patience.seconds == 20
 
     def test_several_lanes_give_the_same_verdicts_as_one(self, options: TargetOptions):
         # Without those that wait all of that time for something that must not come.

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from dcp_conformance import upper_tester as uppers
 from dcp_conformance.errors import UpperTesterError, UsageError
+from dcp_conformance.upper_tester.patience import Patience
 from dcp_conformance.upper_tester.stream import DROPPED, MOST_NOTIFICATIONS
 
 from ...waiting import PATIENCE
@@ -65,9 +66,9 @@ def test_a_program_that_keeps_to_the_contract(tmp_path):
     try:
         assert upper.methods == {"UT-Hello", "X"}
         assert upper.about["name"] == "fake"
-        answer = upper.call("RTDB-Read", {"varId": 1})
+        answer = upper.call("X", {"varId": 1})
         assert answer.ok
-        assert answer.result["method"] == "RTDB-Read"
+        assert answer.result["method"] == "X"
         assert upper.poll() == []
         assert upper.another() is None
         assert all(os.fstat(each) for each in upper.filenos())
@@ -88,9 +89,9 @@ LIES = {
         "def nonsense(r): say(id=r['id'], error={'code': -32603, 'message': 'oh'})",
         "is answered with error -32603: oh instead",
     ),
-    "no methods": ("del hello['methods']", "has no methods, which must be a list of names"),
-    "version is a number": ("hello['version'] = 3", "has no version, which must be text"),
-    "a method that is not a name": ("hello['methods'] = [1]", "lists a method that is not text"),
+    "no methods": ("del hello['methods']", "there is no member `methods`"),
+    "version is a number": ("hello['version'] = 3", "version: expected `str`, got `int`"),
+    "a method that is not a name": ("hello['methods'] = [1]", r"methods\[0\]: expected `str`, got `int`"),
     "hello fails": ("hello['status'] = 'VARDIS-STATUS-INACTIVE'", "UT-Hello is answered with VARDIS-STATUS-INACTIVE"),
     "hello without status": ("del hello['status']", "a result without a status"),
     "not JSON": ("print('starting up...', flush=True)", "not JSON .*: starting up"),
@@ -152,12 +153,12 @@ def test_a_program_that_hangs(tmp_path):
     upper = open_upper(adapter(tmp_path, code))
     try:
         # As if it had been opened with little patience; Python itself takes longer than that to start.
-        upper._patience = 0.2
+        upper._patience = Patience(0.2)
         begun = time.monotonic()
         with pytest.raises(UpperTesterError, match=r"X was not answered within 0.2 s; does the implementation hang"):
             upper.call("X", {})
         assert time.monotonic() - begun < PATIENCE
-        upper._patience = PATIENCE
+        upper._patience = Patience(PATIENCE)
         (tmp_path / "go").touch()
         # A late answer is not matched to another request.
         assert upper.call("UT-Hello", {}).ok
@@ -169,7 +170,7 @@ def test_a_program_that_hangs(tmp_path):
 def test_endless_output_counts_as_hanging(tmp_path):
     upper = open_upper(adapter(tmp_path, "def other(r):\n    while True: say(method='M', params={})"))
     try:
-        upper._patience = 0.3
+        upper._patience = Patience(0.3)
         begun = time.monotonic()
         with pytest.raises(UpperTesterError, match="not answered within"):
             upper.call("X", {})
@@ -250,7 +251,7 @@ def test_a_program_that_reads_no_input(tmp_path):
     code = "def other(r): time.sleep(3600)"
     upper = open_upper(adapter(tmp_path, code))
     try:
-        upper._patience = 0.3
+        upper._patience = Patience(0.3)
         with pytest.raises(UpperTesterError, match="not answered"):
             upper.call("X", {})
         begun = time.monotonic()
@@ -451,7 +452,7 @@ def test_a_listener_that_the_tester_does_not_start_is_not_waited_for(tmp_path):
 def test_a_listener_that_disappeared_is_waited_for(unix_server):
     _, path = unix_server
     upper = open_upper(f"unix:{path}", starting=False)
-    upper._patience = 0.5
+    upper._patience = Patience(0.5)
     path.unlink()
     with pytest.raises(UpperTesterError, match=r"there is no such socket, after 0.5 s"):
         upper.reconnect()
