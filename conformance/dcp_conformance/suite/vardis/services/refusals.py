@@ -140,7 +140,7 @@ def refused(bench: Bench, what: tuple[str, dict[str, Refusal]]) -> None:
         bench.waiting.repeated(_DELETE, var_id, begun)
     before, start = entry_of(bench, var_id), bench.mark()
     if before is None:
-        bench.inconclusive("RTDB-DescribeVariable describes the variable, which this case needs", "it does not")
+        bench.inconclusive("a description of the variable, which this case needs", "none in RTDB-DescribeVariable")
     for refusal in refusals.values():
         # Some nodes create no existing variable again (X20).
         statuses = (refusal.status(bench), *([EXISTS] if refusal.service == "RTDB-Create" else []))
