@@ -56,7 +56,9 @@ NOTICED_NOW = (
     "M-VD-PC-04-long-ignored",
     "M-VD-PC-10-creation-time",
 )
-NOTICED = pytest.mark.xfail(reason="a later case kills it on this version: remove the reason, and try it there")
+NOTICED = pytest.mark.xfail(
+    strict=False, reason="a later case kills it on this version: remove the reason, and try it there"
+)
 
 
 @pytest.mark.part("suite")
