@@ -237,8 +237,8 @@ def trial(
     begun = time.monotonic()
     name = profile or mutant.profile
     named = [case for case in cases() if set(case.requirements) & set(mutant.requirements)]
-    if first and not full and not every:
-        named.sort(key=lambda case: case.id != first)
+    # Whatever a short case kills need not wait for a case of the long plan.
+    named.sort(key=lambda case: (bool(first) and case.id != first and not (full or every), case.long))
     killers: list[Finding] = []
     also: list[Finding] = []
     errors: list[Finding] = []

@@ -14,6 +14,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 
+from ...parts import also
 from ..rig import OTHER_PROFILES, PROFILES, codec_of, in_session, known_cases, one_case
 
 #: By case function, the identifiers of its variants. What a profile or a PICS declares is not behaviour of our node:
@@ -80,7 +81,11 @@ def check(base: str, profiles: Iterable[str]) -> set[str]:
     return applied
 
 
-@pytest.mark.parametrize("base", VARIANTS)
+#: Those whose variants all belong to the long plan: a second of CPU time or more for each version.
+LONG = [base for base, ids in VARIANTS.items() if all(known_cases()[each].long for each in ids)]
+
+
+@pytest.mark.parametrize("base", [*(each for each in VARIANTS if each not in LONG), *also("suite", *LONG)])
 def test_our_node_passes_and_each_case_applies_to_some_version(base: str):
     missing = {each for each in VARIANTS[base] if not known_cases()[each].needs.pics} - check(base, VERSIONS)
     # Some cases are about the wire format of an implementation.

@@ -11,7 +11,6 @@ from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import after, around, attributes, crashes, instead
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.unseen import NO_LENGTH
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
 from dcp_stack.effects import PayloadReceived
@@ -169,8 +168,8 @@ class CutDelivered(BPWire):
 after_parse = after(BPWire, BPWire.parse)
 after_parse("loop-bound", "BP-RX-07", "ends the loop over the blocks at the length, which lacks the header",
     lambda self, found, octets: msgspec.structs.replace(found, blocks=tuple(
-        each for each in found.blocks if each.offset < sum(self.block_size(one.payload) for one in found.blocks))),
-    unseen=NO_LENGTH)  # fmt: skip
+        each for each in found.blocks if each.offset < sum(self.block_size(one.payload) for one in found.blocks)))
+    )  # fmt: skip
 after_parse("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end",
     lambda self, found, octets: (
         found if found.fault is None else Reception(found.header, (), found.fault, found.refused)))  # fmt: skip

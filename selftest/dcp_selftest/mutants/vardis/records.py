@@ -8,7 +8,17 @@ from typing import Any, ClassVar
 import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.values import Beacon, Container, Payload, VarCreate, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
+from dcp_codec.values import (
+    Beacon,
+    Container,
+    Payload,
+    VarCreate,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import assign, attributes, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
@@ -205,13 +215,18 @@ then_take("update-until-answered", "VD-CMP-11", "requests an update in every pay
 # -- own creations on the wire -----------------------------------------------------------------------------------------
 
 
+def present(spec: VarSpec, members: dict[str, Any]) -> dict[str, Any]:
+    """Return the members without those that the version of this VarSpec lacks: they have no value."""
+    return {name: value for name, value in members.items() if getattr(spec, name) is not None}
+
+
 class OwnSpec(Records):
     """Changes the VarSpec in VarCreates."""
 
     def record(self, record: Any, entry: DBEntry | None) -> Any:
         if not isinstance(record, VarCreate):
             return record
-        return VarCreate(msgspec.structs.replace(record.spec, **self.members(record)), record.upd)
+        return VarCreate(msgspec.structs.replace(record.spec, **present(record.spec, self.members(record))), record.upd)
 
     def members(self, record: VarCreate) -> dict[str, Any]:
         """Return the changed members."""

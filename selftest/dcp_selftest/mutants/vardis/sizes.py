@@ -33,8 +33,8 @@ around(Vardis, Vardis._refused_value)("long-refused", "VD-CRE-05 VD-UPD-05",
     since=SpecVersion.V1_1, unseen={"1.0": "in 1.0 the sum of both lengths is limited"})
 around(Receiver, Receiver._is_bad_value)("long-ignored", "VD-PC-04 VD-PU-04 VD-PC-07 VD-PU-07 DATA-06",
     "ignores received values of 128 octets or more whatever the maximum",
-    lambda self, proceed, value: len(value) > 127 or proceed(value), unseen={"1.0 1.1": "in 1.1 it is VD-PC-07"},
-    since=SpecVersion.V1_2)
+    lambda self, proceed, value: len(value) > 127 or proceed(value), since=SpecVersion.V1_1,
+    unseen={"1.0": "in 1.0 the sum of both lengths is limited"})
 around(Receiver, Receiver._create)("long-description-ignored", "VD-PC-05 VD-PC-07 DATA-07",
     "ignores received descriptions of 128 octets or more whatever the maximum",
     lambda self, proceed, record, offset, now, wall: (

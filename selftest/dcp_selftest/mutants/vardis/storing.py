@@ -12,6 +12,7 @@ from dcp_selftest.mutants.entries import drop, on_entry
 from dcp_selftest.mutants.family import assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
+from dcp_selftest.mutants.vardis.records import present
 from dcp_stack.vardis.core import Core
 from dcp_stack.vardis.database import Database, DBEntry
 from dcp_stack.vardis.entity import Vardis
@@ -31,8 +32,8 @@ class Stores(Receiver):
         return record
 
     def changed(self, record: VarCreate, **members: Any) -> VarCreate:
-        """Return the record with changed members of its VarSpec."""
-        return VarCreate(msgspec.structs.replace(record.spec, **members), record.upd)
+        """Return the record with changed members of its VarSpec, except those that its version lacks."""
+        return VarCreate(msgspec.structs.replace(record.spec, **present(record.spec, members)), record.upd)
 
 
 record = instead(Stores, Stores.record)
