@@ -1,9 +1,10 @@
 """Run a command, and fail if it has used more CPU seconds than it may: ``budget.py SECONDS COMMAND...``.
 
 CPU seconds of the command and of all processes that it waited for; wall time depends on what else the machine does. A
-second of a slow or shared processor does less than one of a fast one, so that the speed is measured during the run,
-and the seconds are converted to those of the machine for which budgets are stated. The exit status is that of the
-command, or 1 if the command succeeded but exceeded the budget.
+second of a slow or shared processor does less than one of a fast one. The speed is therefore measured during the run.
+On a processor slower than that for which budgets are stated, the seconds are converted; on a faster one they count as
+they are, since a small sample can fit its cache better than the command does. The exit status is that of the command,
+or 1 if the command succeeded but exceeded the budget.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def main(arguments: list[str]) -> int:
                 continue
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = spent.ru_utime + spent.ru_stime
-    slowness = statistics.mean(samples) / REFERENCE if samples else 1.0
+    slowness = max(1.0, statistics.mean(samples) / REFERENCE) if samples else 1.0
     used = f"{cpu / slowness:.0f} CPU s of {budget:.0f} ({cpu:.0f} s, each worth {1 / slowness:.2f})"
     print(f"{' '.join(command)}: {used}; {time.monotonic() - begun:.0f} s of wall time", file=sys.stderr)
     if process.returncode == 0 and cpu / slowness > budget:
