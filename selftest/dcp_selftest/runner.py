@@ -237,7 +237,7 @@ def trial(
     begun = time.monotonic()
     name = profile or mutant.profile
     named = [case for case in cases() if set(case.requirements) & set(mutant.requirements)]
-    # Whatever a short case kills need not wait for a case of the long plan.
+    # A mutant that a short case kills does not wait for cases of the long plan.
     named.sort(key=lambda case: (bool(first) and case.id != first and not (full or every), case.long))
     killers: list[Finding] = []
     also: list[Finding] = []

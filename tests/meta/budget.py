@@ -2,8 +2,8 @@
 
 CPU seconds of the command and of all processes that it waited for; wall time depends on what else the machine does. A
 second of a slow or shared processor does less than one of a fast one. The speed is therefore measured during the run.
-On a processor slower than that for which budgets are stated, the seconds are converted; on a faster one they count as
-they are, since a small sample can fit its cache better than the command does. The exit status is that of the command,
+On a processor slower than that for which budgets are stated, the seconds are converted. On a faster one they
+are not: a small sample can fit the cache better than the command does. The exit status is that of the command,
 or 1 if the command succeeded but exceeded the budget.
 """
 

@@ -81,7 +81,7 @@ def check(base: str, profiles: Iterable[str]) -> set[str]:
     return applied
 
 
-#: Those whose variants all belong to the long plan: a second of CPU time or more for each version.
+#: Cases whose variants all belong to the long plan: a second of CPU time or more for each version.
 LONG = [base for base, ids in VARIANTS.items() if all(known_cases()[each].long for each in ids)]
 
 
