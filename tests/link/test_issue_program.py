@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain
+from dcp_conformance.diagnosis.observation import digest
 from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 from dcp_conformance.reporting.issues import write_issues
@@ -27,9 +28,11 @@ CASE = "TC_VD_SEQ_BV_03-0"
 def run() -> RunResult:
     faulty = all_mutants()[MUTANT]
     results = list(Suite("dcp-2.0", faulty.make).run([case for case in cases() if case.id == CASE]))
+    failed = next(check for each in results if each.id == CASE for check in each.checks if check.verdict == "fail")
     fault = Fault(
-        id=MUTANT, requirements=faulty.requirements, what=faulty.what, fails=frozenset({CASE}), undecided=frozenset()
-    )
+        id=MUTANT, requirements=faulty.requirements, what=faulty.what, fails=frozenset({CASE}), undecided=frozenset(),
+        observed=frozenset({(CASE, digest(failed))}),
+    )  # fmt: skip
     return RunResult(
         profile="dcp-2.0",
         spec_version="2.0",

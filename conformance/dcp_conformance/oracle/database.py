@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import msgspec
 from dcp_spec.constants import Features, ICType
@@ -254,9 +254,9 @@ class VardisModel(Oracle):
             if name == "prodId" and isinstance(wanted, bytes) and _same_node(got, wanted):
                 continue
             self.doubt(var_id)
-            yield Finding(
-                (*which, *self._reasons(var_id, ())[:1]), f"{name} {_text(wanted)} of variable {var_id}", _text(got)
-            )
+            reasons = (*which, *self._reasons(var_id, ())[:1])
+            about: Literal["", "creationTime"] = "creationTime" if name == "creationTime" else ""
+            yield Finding(reasons, f"{name} {_text(wanted)} of variable {var_id}", _text(got), about)
             return
         for name in ("countUpdate", "countCreate", "countDelete"):
             count = row.get(name)

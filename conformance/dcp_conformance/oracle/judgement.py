@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 
@@ -16,6 +16,8 @@ class Finding(NamedTuple):
     requirements: tuple[str, ...]
     expected: str
     observed: str
+    about: Literal["", "creationTime", "format"] = ""
+    """What is compared if other parts of the tester judge it, too: a creationTime, or whether octets can be read."""
 
 
 class Expected(NamedTuple):

@@ -52,6 +52,10 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
         found = again
     found = shorter(lambda: bench, found, alone=alone)
     finding = found.finding
+    if finding.about == "format":
+        bench.inconclusive("beacons that can be read", f"{finding.observed}: judged by the rules for every beacon")
+    if finding.about == "creationTime":
+        bench.excuses.relies_on("creationTime")
     shown = "\n".join(table(found.rows))
     bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
 

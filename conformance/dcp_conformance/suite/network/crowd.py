@@ -10,6 +10,7 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
+from dcp_conformance.test_steps.pacing import FEW, paced
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 from dcp_conformance.test_system.session import FLOOR
@@ -22,8 +23,6 @@ _CREATE, _UPDATE, _DELETE, _SUMMARY = (
     ICType.DELETE_VARIABLES,
     ICType.SUMMARIES,
 )
-#: Number of beacons in a beacon period that every receiver has buffers for.
-_FEW = 4
 
 
 @case(
@@ -131,10 +130,8 @@ def many_updates(bench: Bench) -> None:
 
 def _slowly(bench: Bench, peers: Sequence[Peer], records: Callable[[Peer], Sequence[VardisRecord]]) -> None:
     """Send a beacon of each peer, a few in each beacon period; fewer if processing was measured to take longer."""
-    for start in range(0, len(peers), _FEW):
-        for peer in peers[start : start + _FEW]:
-            peer.send(*records(peer))
-        bench.wait(max(1, (bench.session.busy_until - bench.now()) / bench.period))
+    for peer in paced(bench, peers):
+        peer.send(*records(peer))
 
 
 def _tell_overload(bench: Bench, count: int, what: str, requirement: str) -> None:
@@ -144,7 +141,7 @@ def _tell_overload(bench: Bench, count: int, what: str, requirement: str) -> Non
     if count > 0:
         bench.info(
             "Is a beacon of each of thirty neighbours processed if all arrive at once?",
-            f"{count} {what} were lost; they were processed at a rate of {_FEW} beacons per period",
+            f"{count} {what} were lost; they were processed at a rate of {FEW} beacons per period",
             requirement,
         )
 

@@ -12,6 +12,7 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, lifetime
 from dcp_conformance.test_steps.bp_clients import talking
+from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import (
     nanoseconds,
     neighbour,
@@ -222,7 +223,7 @@ def far_ahead(bench: Bench) -> None:
 def after_damage(bench: Bench) -> None:
     peer = bench.peer()
     octets = bench.builder.srp(bench.records.report(peer.node_id, 1)).octets
-    for _ in range(_DAMAGED):
+    for _ in paced(bench, range(_DAMAGED)):
         peer.send(Block(BP_PROTID_SRP, octets[:-1]))
     _report(bench, [peer], 2)
     entry = until_neighbour(bench, peer.node_id) or {}

@@ -26,6 +26,7 @@ from dcp_conformance.test_steps.bp_clients import (
     registered,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import parameters_set
 from dcp_conformance.test_system.bench import MS, Bench
 
@@ -223,7 +224,7 @@ _DAMAGES: dict[str, tuple[str, Lies, int | None]] = {
 def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
     lies, cut = damage
     peer, (damaged, valid) = bench.peer(), bench.identifiers.unknown_ids(2)
-    for _ in range(_DAMAGED):
+    for _ in paced(bench, range(_DAMAGED)):
         peer.send(peer.summary(damaged, 1), lies=lies, cut=cut)
     start = bench.mark()
     peer.send(peer.summary(valid, 1))
@@ -252,7 +253,9 @@ def counts_far(bench: Bench) -> None:
             if not bench.heard:
                 break
             before, last = last, bench.heard[-1]
-            if before.seqno is None or last.seqno is None or (last.seqno - before.seqno) % BP_SEQNO_MODULUS > 1 << 31:
+            if before.seqno is None or last.seqno is None:
+                bench.inconclusive("beacons that can be read", f"{last.problem or before.problem}")
+            if (last.seqno - before.seqno) % BP_SEQNO_MODULUS > 1 << 31:
                 bench.answered(last.seqno, f"above {before.seqno}", "sequence number", frames=[before, last], stop=True)
         if (last.seqno or 0) <= _SIXTEEN_BITS:
             bench.inconclusive("65,536 beacons in five minutes", f"{(last.seqno or 0) - (begun.seqno or 0)}")

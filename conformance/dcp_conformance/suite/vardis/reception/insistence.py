@@ -17,6 +17,7 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.full_payloads import settable
+from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import (
     OK,
     create_request,
@@ -105,7 +106,7 @@ _DAMAGES = {
 )
 def after_errors(bench: Bench, octets: bytes) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
-    for _ in range(_DAMAGED):
+    for _ in paced(bench, range(_DAMAGED)):
         peer.send(Block(BP_PROTID_VARDIS, octets))
     start = bench.mark()
     peer.send(peer.summary(var_id, 1))

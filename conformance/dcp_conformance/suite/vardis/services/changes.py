@@ -70,6 +70,8 @@ def lowered(bench: Bench) -> None:
     bench.check_repeated(_CREATE, own, count, start, "VD-CRE-12")
     start = bench.mark()
     peer.send(peer.update(name, 1, b"another one"))
+    # A node that has not processed the update before the limits are lowered ignores it.
+    bench.until_instruction(_UPDATE, name)
     bench.must("RTDB-Update", varId=own, value=bench.records.value(b"next of 12 o").hex())
     with parameters_set(bench, "VD", **_LOWERED):
         for each in (name, own):
