@@ -16,8 +16,8 @@ class Finding(NamedTuple):
     requirements: tuple[str, ...]
     expected: str
     observed: str
+    about: Literal["", "creationTime", "format"] = ""
     """The comparison, if other parts of the tester judge it, too: a creationTime, or octets that cannot be read."""
-    """What is compared if other parts of the tester judge it, too: a creationTime, or whether octets can be read."""
 
 
 class Expected(NamedTuple):
