@@ -15,6 +15,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import UpperTester
+from dcp_selftest.runner import COUNTING
 
 from dcp_codec import Codec
 
@@ -34,6 +35,11 @@ def known_cases() -> dict[str, Case]:
     return all_cases()
 
 
+def every_case() -> list[Case]:
+    """Return the cases in the order of execution, without those that wait for 65,536 beacons."""
+    return [each for each in ordered(known_cases().values()) if each.id not in COUNTING]
+
+
 def ids_of(*modules: str) -> list[str]:
     """The identifiers of the cases in modules of ``dcp_conformance.suite``, by their names without the package."""
     return [each.id for name in modules for each in cases_of(importlib.import_module(f"{CASES}.{name}"))]
@@ -47,7 +53,7 @@ def sampled_cases(seed: int, *requirements: str) -> list[Case]:
     """
     functions: dict[str, list[Case]] = {}
     for case in known_cases().values():
-        if case.id not in (DECLARED, DENIED):
+        if case.id not in (DECLARED, DENIED, *COUNTING):
             functions.setdefault(case.base, []).append(case)
     drawn = {
         variants[seed % len(variants)].id

@@ -57,7 +57,7 @@ def signature(mutant: Mutant) -> Outcome:
     signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
     complete = False
     try:
-        for result in Suite(mutant.profile, mutant.make).run(cases()):
+        for result in Suite(mutant.profile, mutant.make).run(cases(mutant.requirements)):
             verdicts[result.id] = result.verdict
             if result.verdict is Verdict.FAIL and result.id != SANITY:
                 observed.update((result.id, digest) for digest in observations(result))

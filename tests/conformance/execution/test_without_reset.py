@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.case import DECLARED, DENIED, Case, Kind
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
@@ -17,7 +16,7 @@ from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer
 from dcp_spec.constants import ICType, SpecVersion
 
-from ..rig import codec_of, known_cases
+from ..rig import codec_of, every_case, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
 #: Remedies that the tester offers to the user when identifiers are used up.
@@ -77,7 +76,7 @@ def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
 def test_the_whole_suite_without_a_restart_of_the_node(profile: str):
     """The next test has the older versions."""
     runner = runner_of(profile)
-    cases = [each for each in ordered(known_cases().values()) if not each.needs.restart and each.id not in ON_PAPER]
+    cases = [each for each in every_case() if not each.needs.restart and each.id not in ON_PAPER]
     assert odd((runner.run(each) for each in cases), profile) == []
 
 
@@ -86,7 +85,7 @@ def test_the_whole_suite_without_a_restart_of_the_node(profile: str):
 def test_up_to_1_3_identifiers_are_never_used_up(profile: str):
     """Deleted variables leave the database."""
     runner = runner_of(profile)
-    cases = [each for each in ordered(known_cases().values()) if not each.needs.restart]
+    cases = [each for each in every_case() if not each.needs.restart]
     results = [runner.run(each) for each in cases]
     wrong = [each for each in results if each.verdict not in FINE and not still_reporting(profile, each)]
     assert [f"{each.id}: {each.reason}" for each in wrong] == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.interconnection.extraction import OWNERS
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.verdict import Verdict
@@ -11,7 +10,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_codec.errors import DecodeError
 from dcp_stack.vardis.wire import Extracted, Extractor
 
-from ..rig import known_cases
+from ..rig import every_case, known_cases
 from ..slow import runner_for
 from ..suite.test_vardis_reception_mutants import make_with
 
@@ -51,7 +50,7 @@ class FirstOnly(LosesContainers):
 def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], profile: str) -> None:
     runner = runner_for(profile, make=make_with(extractor))
     failed: set[str] = set()
-    for each in ordered(known_cases().values()):
+    for each in every_case():
         if each.id in (DECLARED, DENIED):
             continue
         result = runner.run(each)

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics
@@ -19,7 +18,7 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
 
-from ..rig import codec_of, known_cases
+from ..rig import codec_of, every_case, known_cases
 from ..slow import runner_for
 
 STRICT = "dcp-2.0"
@@ -39,7 +38,7 @@ def outcome_of(spoken: Profile, *, cases: tuple[str, ...] = ("",)) -> tuple[Runn
     runner.prepare()
     failed: Counter[str] = Counter()
     reasons: list[str] = []
-    for each in ordered(known_cases().values()):
+    for each in every_case():
         if each.id not in (DECLARED, DENIED) and each.id.startswith(("TC_DCP_SANITY", *cases)):
             result = runner.run(each)
             bad = [check for check in result.checks if check.verdict is Verdict.FAIL]

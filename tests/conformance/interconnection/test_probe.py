@@ -10,13 +10,12 @@ import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.execution.target import TargetOptions, describe
 from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded
 from dcp_conformance.interconnection.settings import doubtful, ranked_with
 from dcp_conformance.lower_tester import Arrival, LinkHealth
-from dcp_conformance.model.case import DECLARED, DENIED, all_cases
+from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.declared import denied_by
 from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
 from dcp_conformance.model.pics_file import QUESTIONS, pics_text, write_pics
@@ -33,6 +32,7 @@ from dcp_codec.values import Beacon, BPHeader, VarSumm
 from dcp_stack.config import VardisConfig
 
 from ...parts import also
+from ..rig import every_case
 
 
 @cache
@@ -349,7 +349,7 @@ def test_a_draft_never_makes_a_conforming_node_fail(profile, told, tmp_path):
     session = Session(codec(pics.pixit.profile), fresh.lower_tester(), fresh.upper_tester(), pics)
     runner = Runner(session, fresh)
     runner.prepare()
-    cases = ordered(all_cases().values())
+    cases = every_case()
     # Profiles take turns with the cases: the part of the core runs all of them, each other one a quarter.
     for case in cases if (profile, told) == ("dcp-2.0", True) else cases[PROFILES.index(profile) % 4 :: 4]:
         result = runner.run(case)

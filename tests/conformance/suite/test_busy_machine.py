@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
@@ -25,7 +24,7 @@ from dcp_selftest.variants import all_variants
 from dcp_selftest.variants.busy import LOADS, Busy, Load, busy
 
 from ...parts import also
-from ..rig import codec_of, known_cases
+from ..rig import codec_of, every_case, known_cases
 
 PROFILE = "dcp-2.0"
 #: With one case in this many, a run takes about a second.
@@ -43,7 +42,7 @@ def runner_for(load: Load, seed: int, *, upper: bool = True, make: MakeNode = pl
 
 def results(load: Load, seed: int, *ids: str, upper: bool = True) -> list[CaseResult]:
     """Run cases, or a share of the suite that differs from seed to seed."""
-    known = [each for each in ordered(known_cases().values()) if not each.long]
+    known = [each for each in every_case() if not each.long]
     chosen = [each for each in known if each.id in ids] if ids else known[seed % SHARE :: SHARE]
     runner = runner_for(load, seed, upper=upper)
     return [runner.run(each) for each in chosen]
@@ -102,7 +101,7 @@ def test_a_report_from_before_a_reset_is_not_the_first_one_after_it():
 def test_faults_are_found_on_a_busy_machine(mutant: str, load: str):
     fault = all_mutants()[mutant]
     runner = runner_for(LOADS[load], 1, make=fault.make)
-    cases = [each for each in ordered(known_cases().values()) if set(each.requirements) & set(fault.requirements)]
+    cases = [each for each in every_case() if set(each.requirements) & set(fault.requirements)]
     found = (runner.run(each) for each in cases if not each.long)
     assert any(each.verdict is Verdict.FAIL and set(each.requirements) & set(fault.requirements) for each in found)
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -15,7 +14,7 @@ from dcp_conformance.test_system.bench import MS, Session
 from dcp_selftest.mutants import all_mutants
 
 from ...parts import also
-from ..rig import codec_of, known_cases, sampled_cases
+from ..rig import codec_of, every_case, known_cases, sampled_cases
 from ..slow import LateAnswers, polling, runner_for
 
 SLOW: Mapping[str, dict[str, Any]] = {
@@ -96,7 +95,7 @@ def test_faults_of_slow_nodes_are_found(mutant: str, how: str):
     """A case whose steps must fall between two beacons either manages that or is not judged."""
     fault = all_mutants()[mutant]
     runner = runner_for(fault.profile, make=fault.make, **SLOW[how])
-    cases = [each for each in ordered(known_cases().values()) if set(each.requirements) & set(fault.requirements)]
+    cases = [each for each in every_case() if set(each.requirements) & set(fault.requirements)]
     for case in cases:
         result = runner.run(case)
         failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
