@@ -1,20 +1,16 @@
 """Measure the fuzzer: beacons through the codec, sequences through the stack, and how much a live node takes.
 
-    python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--jobs N] [--soak FRAMES] [--json FILE]
+    python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--jobs N] [--json FILE]
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
-process with where their time goes, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our
-node as a process, beside what that node takes at most. --jobs: tests a second by so many workers, beside one process
-and beside as many by themselves. --soak: so many mutated frames through our own decoder and one node that lives all the
-time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs of 50 frames is followed
-by the model: what it is certain of (state, number, value and attributes of variables) must be what the node holds.
+process, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our node as a process, beside
+what that node takes at most. --jobs: tests a second by so many workers, beside one process and beside as many by
+themselves.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import gc
 import json
 import os
 import random
@@ -23,8 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,21 +26,17 @@ from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.execute.live import LiveTarget
-from dcp_conformance.fuzz.execute.model_monitor import Observer
 from dcp_conformance.fuzz.execute.stack import StackTarget
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.bench import Session
 from dcp_selftest.fuzz.lifetimes import Lifetimes
-from dcp_selftest.fuzz.soak import Soak
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.testing.mutation import Mutator, drawn_pool
-from dcp_stack.node import Node
 
 SEED = 1
 
@@ -86,68 +76,8 @@ def codec_rate(codec: Codec, seconds: float) -> dict[str, Any]:
     return {"beacons_per_second": rate, "octets": octets / count}
 
 
-class Stopwatch:
-    """CPU time by the part that it was spent in; a part that calls another one does not count the time of that."""
-
-    def __init__(self) -> None:
-        self.spent: Counter[str] = Counter()
-        self._inner: list[float] = []
-
-    def timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The same callable, with its time counted."""
-
-        def run(*args: Any, **more: Any) -> Any:
-            begun = time.process_time()
-            self._inner.append(0.0)
-            try:
-                return call(*args, **more)
-            finally:
-                taken = time.process_time() - begun
-                self.spent[part] += taken - self._inner.pop()
-                if self._inner:
-                    self._inner[-1] += taken
-
-        return run
-
-
-class TimedTarget(StackTarget):
-    """The stack in process, with a watch on its parts."""
-
-    def __init__(self, codec: Codec, watch: Stopwatch) -> None:
-        self._watch = watch
-        super().__init__(codec, make=watch.timed("node made", self._node))
-        self._step = watch.timed("steps", self._step)  # type: ignore[method-assign]
-        self._compare = watch.timed("comparison", self._compare)  # type: ignore[method-assign]
-        self._probed = watch.timed("probe", self._probed)  # type: ignore[method-assign]
-
-    def _node(self, *args: Any) -> Node:
-        node = plain_node(*args)
-        for name in ("start", "handle_frame", "handle_timeout"):
-            setattr(node, name, self._watch.timed("node", getattr(node, name)))
-        return node
-
-    def _observer(self) -> Observer:
-        observer = super()._observer()
-        for name in ("hears", "says"):
-            setattr(observer, name, self._watch.timed("model", getattr(observer, name)))
-        return observer
-
-
-def where_the_time_goes(codec: Codec, count: int) -> dict[str, float]:
-    """us of CPU time for each part of a sequence, of so many; what the watch itself takes is among them."""
-    watch = Stopwatch()
-    target = TimedTarget(codec, watch)
-    lives = Lifetimes(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
-    draw, run = watch.timed("drawing", lives.draw), watch.timed("around it", target.run)
-    drawn = 0
-    while drawn < count:
-        run(draw())
-        drawn += len(lives.kinds)
-    return {part: 1e6 * spent / drawn for part, spent in watch.spent.most_common()}
-
-
 def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
-    """Draw sequences, run them on fresh nodes as ``fuzz stack`` does, compare with the model, probe."""
+    """Draw sequences, run them on fresh nodes as ``fuzz stack`` does, probe."""
     target = StackTarget(codec)
     lives = Lifetimes(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
     nodes, count, begun = 0, 0, time.process_time()
@@ -162,12 +92,9 @@ def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
         f"  {count / spent:,.0f} sequences/s against the stack in process, {count / nodes:.0f} in the life of a node "
         f"({target.frames / spent:,.0f} frames/s)"
     )
-    parts = where_the_time_goes(codec, min(count, 2000))
-    print("  us of a sequence, measured: " + ", ".join(f"{part} {spent:.0f}" for part, spent in parts.items()))
     return {
         "sequences_per_second": count / spent,
         "frames_per_second": target.frames / spent,
-        "us_of_a_sequence": parts,
     }
 
 
@@ -307,64 +234,17 @@ def _taken(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     return {"taken": taken, "dropped": dropped, "node_us": 1e3 * (after["cpu_ms"] - before["cpu_ms"]) / max(1, taken)}
 
 
-def soak(codec: Codec, frames: int) -> dict[str, Any]:
-    """One node, so many mutated frames; what it holds is compared with the model, and in the end it has to send."""
-    mutator = mutator_of(codec)
-    soaked = Soak(codec)
-    decoded, memory, begun = 0, [_resident()], time.monotonic()
-    spent = time.process_time()
-    for number in range(1, frames + 1):
-        octets = mutator.mutate().octets
-        with contextlib.suppress(DecodeError):
-            codec.decode(octets)
-            decoded += 1
-        effect = soaked.hears(octets)
-        if effect is not None:
-            sys.exit(f"frame {number}: {octets.hex()}: {effect.detail}")
-        if not number % max(1, frames // 10):
-            gc.collect()
-            memory.append(_resident())
-            rate = number / (time.monotonic() - begun)
-            print(
-                f"  {number:,} frames, {decoded:,} valid, {rate:,.0f}/s, {memory[-1]:.1f} MiB resident; in "
-                f"{soaked.epochs:,} epochs {soaked.compared:,} states of variables compared",
-                flush=True,
-            )
-    spent = time.process_time() - spent
-    # It is the same node that has to send beacons still.
-    soaked.sut.advance(soaked.sut.now + 1_000_000_000)
-    if soaked.sut.died or not soaked.sut.arrivals:
-        sys.exit(f"it does not send any more: {soaked.sut.died}")
-    print(f"  {frames:,} frames in {spent:.0f} s of CPU time; alive and sending")
-    return {
-        "frames": frames,
-        "valid": decoded,
-        "resident_mib": memory,
-        "cpu_s": spent,
-        "epochs": soaked.epochs,
-        "compared": soaked.compared,
-    }
-
-
-def _resident() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / (1 << 20)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--profile", default="dcp-2.0")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--live", action="store_true")
     parser.add_argument("--jobs", type=int, metavar="N")
-    parser.add_argument("--soak", type=int, metavar="FRAMES")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     codec = Codec(options.profile)
     found: dict[str, Any] = {"profile": options.profile}
-    if options.soak:
-        found["soak"] = soak(codec, options.soak)
-    elif options.jobs:
+    if options.jobs:
         found["workers"] = workers_rate(options.profile, options.jobs, options.seconds)
     elif options.live:
         found["live"] = live_rate(options.profile, options.seconds)

@@ -235,30 +235,3 @@ def test_an_artefact_of_another_profile_is_inconclusive(tmp_path):
     sut = InProcess(reference_config(codec))
     result = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), Pics()), sut).run(case)
     assert str(result.verdict) == "inconclusive"
-
-
-def test_the_steps_of_a_wrong_state_are_compared_with_the_model(tmp_path):
-    import random
-
-    from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.fuzz.generate.sequences import Sequences
-    from dcp_conformance.model.pics import Pics
-    from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.test_system.bench import Session
-    from dcp_selftest.mutants import all_mutants
-
-    from dcp_codec.testing.mutation import Mutator
-    from dcp_codec.values import VarUpdate
-
-    pool = valid_beacons(CODEC, random.Random(1), 8)
-    sequences = Sequences(CODEC, random.Random(1), b"\2\0\0\0\0\1", Mutator(CODEC, random.Random(1), pool))
-    steps = [sequences.frame(sequences.good_create(1, seqno=9)), sequences.frame(VarUpdate(1, 8, b"older"))]
-    saved(tmp_path, Effect("state", "variable 1 has number 8", 1), steps=steps, mutant="")
-    [case] = artefact_cases(tmp_path)
-    verdicts = []
-    for make in (plain_node, all_mutants()["M-VD-PU-06-stored"].make):
-        sut = InProcess(reference_config(CODEC), make=make)
-        runner = Runner(Session(CODEC, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
-        runner.prepare()
-        verdicts.append(str(runner.run(case).verdict))
-    assert verdicts == ["pass", "fail"]

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import random
-import shlex
-import subprocess
-import sys
 
 import pytest
-from dcp_conformance.fuzz import Campaign, Frame, Limits, save
+from dcp_conformance.fuzz import Campaign, Frame, Limits
 from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.findings.cases import artefact_cases
 from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined
+from dcp_conformance.fuzz.generate.sequence_batches import Batches
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.generate.sweep import SweepFirst
-from dcp_selftest.fuzz.lifetimes import Lifetimes
-from dcp_selftest.fuzz.targets import stack_target
 from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.testing.mutation import Mutator, drawn_pool
@@ -152,84 +146,3 @@ def test_findings_of_one_fault_are_one_cause_and_all_faults_are_found_soon(seed)
     assert 1 < cut.findings <= 3
     assert all(each.octets <= 50 for each in causes.values())
     assert sum(each.findings for each in causes.values()) == len(campaign.artefacts)
-
-
-# -- wrong records and wrong state ------------------------------------------------------------------------------
-
-
-def found_in_process(mutant: str, findings: int = 2) -> Campaign:
-    rng = random.Random(1)
-    target = stack_target(CODEC, mutant)
-    drawn = Sequences(CODEC, rng, target.own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
-    saved = SavedTarget("stack", target.name, mutant)
-    campaign = Campaign(CODEC, target, Lifetimes(SweepFirst(drawn, CODEC)), saved, 1, own_id=target.own_id)
-    campaign.run(Limits(cases=400, findings=findings))
-    return campaign
-
-
-@pytest.mark.parametrize(
-    ("mutant", "requirement"),
-    every(
-        10,
-        [
-            ("M-BP-RX-07-first-only", "BP-RX-07"),
-            ("M-BP-RX-07-one-of-each", "BP-RX-07"),
-            ("M-VD-RX-04-octets", "VD-RX-04"),
-            ("M-VD-RX-04-first-half", "VD-RX-04"),
-            ("M-VD-RX-08-updates-first", "VD-RX-08"),
-            ("M-VD-RX-08-deletes-first", "VD-RX-08"),
-            ("M-VD-RX-09-first-record", "VD-RX-09"),
-            ("M-VD-PC-03-taken", "VD-PC-03"),
-            ("M-VD-PC-05-empty-description", "VD-PC-05"),
-            ("M-VD-PC-06-zero", "VD-PC-06"),
-            ("M-VD-PD-03-own", "VD-PD-03"),
-            ("M-VD-PD-04-ignored", "VD-PD-04"),
-            ("M-VD-PU-02-revived", "VD-PU-02"),
-            ("M-VD-PU-03-own", "VD-PU-03"),
-            ("M-VD-PU-05-stored", "VD-PU-05"),
-            ("M-VD-PU-06-stored", "VD-PU-06"),
-            ("M-VD-PS-04-not-requested", "VD-PS-04"),
-            ("M-VD-RU-01-ignored", "VD-RU-01"),
-            ("M-VD-RU-03-equal-answered", "VD-RU-03"),
-        ],
-    ),
-)
-def test_the_violated_rule_is_found_and_not_only_its_symptom(mutant, requirement):
-    campaign = found_in_process(mutant)
-    assert campaign.artefacts
-    assert {each.effect.requirements for each in campaign.artefacts} == {(requirement,)}
-    [cause] = campaign.state.causes.values()
-    assert cause.findings == len(campaign.artefacts)
-    assert cause.requirements == (requirement,)
-
-
-def test_a_container_that_is_skipped_is_named_from_outside_too():
-    target = LiveTarget(opened(all_mutants()["M-VD-RX-04-octets"].make), differential=True)
-    rng = random.Random(2)
-    drawn = Sequences(CODEC, rng, OWN, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
-    saved = SavedTarget("differential", target.name)
-    campaign = Campaign(
-        CODEC, target, Joined(drawn, 1), saved, 1, by_cause=True, fresh=target.run_after_restart, own_id=OWN, budget=200
-    )
-    campaign.run(Limits(cases=300, findings=1))
-    [artefact] = campaign.artefacts
-    assert artefact.effect.requirements == ("VD-RX-04",)
-
-
-@pytest.mark.part("suite")
-def test_the_case_of_a_finding_fails_its_requirement_and_is_reproduced_by_the_printed_command(tmp_path):
-    campaign = found_in_process("M-VD-RU-03-equal-answered", findings=1)
-    [artefact] = campaign.artefacts
-    save(artefact, tmp_path)
-    [case] = artefact_cases(tmp_path)
-    assert case.requirements == ("VD-RU-03",)
-    result = opened(all_mutants()["M-VD-RU-03-equal-answered"].make).runner.run(case)
-    assert str(result.verdict) == "fail"
-    assert [each.requirements for each in result.checks if str(each.verdict) == "fail"] == [("VD-RU-03",)]
-    words = shlex.split(result.rerun)
-    assert words[-3:] == ["--artefacts", str(tmp_path), case.id]
-    # The same words, for our own node in process.
-    again = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", *words[1:], "--in-process"]
-    done = subprocess.run(again, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "requirements: 2 pass" in done.stdout

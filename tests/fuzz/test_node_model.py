@@ -56,6 +56,12 @@ def with_bp(**methods: Any) -> MakeNode:
 OFF, ON = Call("BP-MGMT-Deactivate"), Call("BP-MGMT-Activate")
 
 
+def test_nothing_is_due_while_payloads_of_vardis_exceed_the_packet_size() -> None:
+    sizes = {"name": "BPPAR_MAXIMUM_PACKET_SIZE", "value": 23}
+    create = Records("create", variable=0, count=1, seqno=0, size=2, descr=3, repetitions=1, producer=0, creation=1)
+    assert judged(Call("BP-SetParameter", sizes), Beacon(0, (create,)), Wait(60)) == ()
+
+
 @pytest.mark.req("BP-CLR-02")
 def test_a_clear_without_effect_while_inactive_is_named() -> None:
     def clear_buffer(self: Any, prot_id: int) -> Any:

@@ -6,7 +6,7 @@ import random
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
+from dcp_conformance.fuzz import Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.execute.stack import StackTarget
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.generate.sequence_batches import Joined
@@ -25,7 +25,7 @@ def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
     mutator = Mutator(codec, rng, drawn_pool(codec, rng, 80))
     sequences = Sequences(codec, rng, target.own_id, mutator)
     saved = SavedTarget("stack", target.name)
-    return Campaign(codec, target, sequences, saved, seed, mutator=mutator, states=lambda: target.observer.reached)
+    return Campaign(codec, target, sequences, saved, seed, mutator=mutator)
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.0", "dcp-1.3", "cpp-2.0", "student-2024")])
@@ -34,8 +34,7 @@ def test_a_short_campaign_finds_nothing_in_our_node(profile):
     state = campaign.run(Limits(cases=400))
     assert state.findings == {}
     assert state.cases == 400
-    assert len(state.coverage.states) > 20
-    assert len(state.kinds) > 8
+    assert len(state.kinds) > 5
 
 
 @pytest.mark.part("suite")
@@ -45,10 +44,6 @@ def test_a_short_campaign_finds_nothing_in_our_node(profile):
         ("M-BP-RX-15-dies", "raised", 1),
         ("M-VD-ROB-01-dies-of-type", "raised", 1),
         ("M-VD-ROB-01-dies-of-text", "raised", 1),
-        ("M-VD-PC-01-earlier", "state", 2),
-        ("M-VD-PU-06-stored", "state", 3),
-        ("M-VD-PU-02-revived", "state", 3),
-        ("M-VD-PU-07-no-wrap", "state", 3),
         ("M-DATA-01-swapped-length", "bad-beacon", 1),
     ],
 )
@@ -96,14 +91,6 @@ def test_an_exception_between_inputs_does_not_crash_the_tester():
     assert effect.signature == "raised: ZeroDivisionError in poll_timeout"
 
 
-def test_service_calls_change_the_model_too():
-    target = StackTarget(Codec("dcp-2.0"))
-    create = Call("RTDB-Create", {"varId": 1, "repCnt": 1, "descr": "d", "value": "00"})
-    assert target.run([create, Wait(1.0), Call("RTDB-Update", {"varId": 1, "value": "01"}), Wait(1.0)]) is None
-    versions = [version.value for version in target.observer.oracle.variables[1].versions]
-    assert versions == [b"", b"\0", b"\1"]
-
-
 def test_all_kinds_of_sequences_are_drawn_reproducibly():
     codec = Codec("dcp-2.0")
 
@@ -118,8 +105,7 @@ def test_all_kinds_of_sequences_are_drawn_reproducibly():
 
     one, kinds = drawn(4)
     assert kinds >= {
-        *("mixed", "mutated", "creation-times", "sequence-wrap", "delete-and-create", "requests", "two-producers"),
-        *("spoofed-sender", "services", "reports", "one-payload"),
+        *("mixed", "mutated", "records", "spoofed-sender", "services", "reports"),
     }
     assert one == drawn(4)[0]
 

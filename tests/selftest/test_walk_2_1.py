@@ -96,17 +96,15 @@ def test_a_scenario_gives_the_new_fields(walk: Walk) -> None:
     assert not found["failed"]
 
 
-def test_cases_and_sequences_notice_fields_that_are_not_forwarded(walk: Walk) -> None:
+def test_cases_notice_fields_that_are_not_forwarded(walk: Walk) -> None:
     found = walk("cases")
     assert {each.split(":")[0] for each in found["right"].values()} == {"pass"}
-    assert found["effects"] == []
     assert [name for name, each in found["wrong"].items() if each.startswith("fail")] == [
         "TC_NET_HOP_BV_01-2",
         "TC_NET_JOIN_BV_02",
         "TC_NET_JOIN_BV_03",
         "TC_NET_JOIN_BV_05-update",
     ]
-    assert any("added fields" in each for each in found["wrong effects"])
 
 
 @pytest.mark.part("suite")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
     from dcp_conformance.fuzz.findings.replaying import Replayed
     from dcp_conformance.fuzz.generate.coverage import Coverage
+    from dcp_conformance.fuzz.steps import Generator
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -159,7 +160,7 @@ def run_campaign(campaign: Campaign, options: dict[str, Any], *, run: Callable[[
     from dcp_conformance.fuzz.findings.description import headline
 
     if options["dry_run"]:
-        return write_tests(campaign, options)
+        return write_tests(campaign.codec, campaign.generator, options)
     if options["out"] is not None:
         raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
     campaign.directory = options["artefacts"]
@@ -261,18 +262,18 @@ def _stopped_by_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
-    """Write the frames of a campaign to the file ``--out`` without sending them. Return the exit status."""
+def write_tests(codec: Codec, generator: Generator, options: dict[str, Any]) -> int:
+    """Write the frames of a generator's first tests to the file ``--out``, and send none. Return the exit status."""
     from dcp_codec.capture import CaptureError
     from dcp_conformance.fuzz.findings.artefact import write_frames
 
     if options["out"] is None:
         raise UsageError("--dry-run writes the frames to a file: give --out FILE")
-    steps = [step for _ in range(options["max_cases"] or _DRY_RUN) for step in campaign.generator.draw()]
-    metadata = {"dcp.fuzz": {"profile": campaign.codec.profile.name, "seed": str(campaign.seed)}}
+    steps = [step for _ in range(options["max_cases"] or _DRY_RUN) for step in generator.draw()]
+    metadata = {"dcp.fuzz": {"profile": codec.profile.name, "seed": str(options["seed"])}}
     suffix = options["out"].suffix
     try:
-        frames = write_frames(options["out"], campaign.codec, steps, metadata if suffix == ".mcap" else {})
+        frames = write_frames(options["out"], codec, steps, metadata if suffix == ".mcap" else {})
     except (CaptureError, OSError) as error:
         raise UsageError(f"{options['out']}: {error}") from None
     click.echo(f"{frames} frames written to {options['out']}; nothing was sent")

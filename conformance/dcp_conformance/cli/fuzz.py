@@ -44,7 +44,6 @@ def _live(options: dict[str, Any]) -> int:
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, NotAliveError
-    from dcp_conformance.fuzz.execute.stack import StackTarget
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
     from dcp_conformance.fuzz.generate.sequence_batches import Batches
     from dcp_conformance.fuzz.generate.sequences import Sequences
@@ -62,8 +61,7 @@ def _live(options: dict[str, Any]) -> int:
     size = options["batch"]
     if options["dry_run"]:
         drawn = SweepFirst(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
-        saved = SavedTarget("live", "nothing")
-        return write_tests(Campaign(codec, StackTarget(codec), Batches(drawn, size), saved, options["seed"]), options)
+        return write_tests(codec, Batches(drawn, size), options)
     with open_target(where) as opened:
         opened.runner.prepare()
         target = LiveTarget(opened, rate=options["rate"] or RATE)
@@ -85,12 +83,10 @@ def _live(options: dict[str, Any]) -> int:
             saved,
             options["seed"],
             mutator=mutator,
-            model=StackTarget(codec),
             profile_text=profile_text(options),
             budget=200,
             seconds=_MINIMISING,
             by_cause=True,
-            own_id=own_id,
         )
         if target.control is not None and target.control.can_restart:
             campaign.fresh = target.run_after_restart
@@ -219,6 +215,6 @@ def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callab
             raise UsageError(
                 f"artefact {artefact.id} is of a live implementation: say where it is (--interface IF or --link udp)"
             )
-        return LiveTarget(opened, differential=artefact.target.mode == "differential")
+        return LiveTarget(opened)
 
     return made

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from dcp_conformance.errors import UsageError
 
 from .findings.artefact import Artefact, SavedTarget, make_artefact, save
 from .generate.coverage import Coverage, counter_of, tables
-from .generate.directed import possible_states
 from .reduce.anomalies import anomalies
 from .reduce.causes import Cause, cause_of
 from .reduce.minimise import Run
@@ -106,10 +105,6 @@ class Campaign:
     directory: Path | None = None
     """Folder for artefacts; None: artefacts are not saved."""
     mutator: Mutator | None = None
-    states: Callable[[], Iterable[tuple[str, str]]] | None = None
-    """Function that returns the pairs of state and message of the last test."""
-    model: Target | None = None
-    """A fast target. A finding that occurs on it too is minimised there, and then confirmed on ``target``."""
     after_case: Callable[[list[Step]], None] | None = None
     """Function that is called with each test after its execution, for guidance by coverage."""
     lines: Callable[[], int] | None = None
@@ -124,14 +119,11 @@ class Campaign:
     """Whether crashes and silences are distinguished by their frames, and such frames are not sent again."""
     aside: Callable[[list[Step], Effect], None] | None = None
     """Function that receives each effect. Without it, effects are minimised and kept at once."""
-    own_id: bytes = b""
-    """Node identifier of the implementation."""
     on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
     state: State = field(init=False)
     artefacts: list[Artefact] = field(default_factory=list)
-    reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
     _history: deque[Step] = field(default_factory=lambda: deque(maxlen=_HISTORY))
     """The steps since the last effect."""
     _left: list[Step] | None = None
@@ -155,7 +147,6 @@ class Campaign:
 
     def has_reached(self, coverage: Coverage) -> None:
         """Add the coverage of other campaigns, or of earlier parts of this one."""
-        self.reached_states.update(counter_of(coverage.states))
         if self.mutator is not None:
             self.mutator.reached.update(counter_of(coverage.fields))
 
@@ -180,8 +171,6 @@ class Campaign:
             for kind in self.generator.kinds:
                 state.kinds[kind] = state.kinds.get(kind, 0) + 1
             state.frames += sum(1 for step in steps if type(step) is Frame)
-            if self.states is not None:
-                self.reached_states.update(self.states())
             if self.after_case is not None:
                 self.after_case(steps)
             if effect is not None:
@@ -213,8 +202,7 @@ class Campaign:
         """Return the coverage so far."""
         fields: Counter[Touch] = self.mutator.reached if self.mutator is not None else Counter()
         possible = self.mutator.possible if self.mutator is not None else frozenset[Touch]()
-        states = possible_states(self.codec) if self.states is not None else frozenset[Touch]()
-        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0, states)
+        return tables(fields, possible, self.lines() if self.lines is not None else 0)
 
     def _over(self, limits: Limits, begun: float, first: int) -> bool:
         if limits.seconds is not None and time.monotonic() - begun >= limits.seconds:
@@ -253,11 +241,9 @@ class Campaign:
             self.target.run,
             None if self.saved_target.mode == "codec" else self.codec,
             fresh=self.fresh,
-            model=self.model.run if self.model is not None else None,
             budget=self.budget,
             seconds=self.seconds,
             known=self._is_known if self.by_cause and effect.kind in _SILENT else None,
-            own_id=self.own_id,
         )
 
     def keep(self, found: Finding) -> None:

@@ -8,15 +8,14 @@ from typing import Any, Final, Literal, NamedTuple, Protocol
 import msgspec
 
 EffectKind = Literal[
-    "raised", "hang", "dead", "mute", "bad-beacon", "said", "state", "unbounded", "disagrees", "model"
+    "raised", "hang", "dead", "mute", "bad-beacon", "unbounded", "disagrees", "model"
 ]  # fmt: skip
 """Kind of effect:
 
 ``raised``: an exception was raised; ``hang``: no return within the time limit; ``dead``: the process has ended;
 ``mute``: the process runs but does not answer; ``bad-beacon``: it sends a beacon that its profile does not allow;
-``said``: it sends records that the model does not expect; ``state``: its state differs from that of the model;
 ``unbounded``: a queue grows without limit; ``disagrees``: two decoders of the same octets differ; ``model``: an
-observation that the model of a node forbids.
+observation that the model of a node forbids (``fuzz model``).
 """
 
 ROBUSTNESS: Final = ("BP-RX-16", "VD-ROB-01")

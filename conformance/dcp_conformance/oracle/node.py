@@ -385,6 +385,9 @@ class NodeModel:
             yield from self.bp.undelivered(time)
         self.srp.expire(time)
         yield from self.bp.silent(self._last, time)
+        if self.headers + self.vardis.room.most > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):
+            # A payload of VarDis may be larger than a beacon may be.
+            self._hold(time)
         if (
             self.bp.active
             and time - max(self.since, self._blocked) > max(self.timing.patience, 8 * self.bp.period) + self.timing.late

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -134,9 +133,9 @@ def _only(parts: tuple[str, ...]) -> str:
 @_JOBS
 @campaign_options
 def stack_command(**options: Any) -> int:
-    """Fuzz the reference node in process.
+    """Find inputs that crash, hang or silence the reference node in process.
 
-    After every step the node is compared with an independent model.
+    'dcp-conformance fuzz model --in-process' compares it with the model of a node.
     """
     make = partial(stack_campaign, options)
     with make() as campaign:
@@ -148,7 +147,6 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     """Return the campaign of ``fuzz stack``; ``seed`` is that of a worker."""
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.generate.directed import Directed
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.fuzz.generate.sweep import SweepFirst
 
@@ -157,10 +155,8 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
 
     codec, rng, mutator, recorded = material(options, seed)
     target = stack_target(codec, options["mutant"] or "")
-    reached: Counter[tuple[str, str]] = Counter()
-    directed = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
     # Each worker executes the whole sweep, which takes a tenth of a second.
-    sequences = SweepFirst(directed, codec, done=swept(options))
+    sequences = SweepFirst(Sequences(codec, rng, target.own_id, mutator, recorded), codec, done=swept(options))
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     yield Campaign(
         codec,
@@ -169,10 +165,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
         saved,
         options["seed"],
         mutator=mutator,
-        states=lambda: target.observer.reached,
-        reached_states=reached,
         profile_text=profile_text(options),
-        own_id=target.own_id,
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from dcp_conformance.fuzz.execute.model_monitor import WINDOW
 from dcp_conformance.fuzz.generate.sequence_batches import UNHURRIED, Joined
 from dcp_conformance.fuzz.steps import Generator, Step, Wait
 
@@ -22,4 +21,4 @@ class Lifetimes(Joined):
     def draw(self) -> list[Step]:
         """Return the next test, for one new node."""
         steps = super().draw()
-        return [*steps, Wait(WINDOW + 1)] if self.drawn % UNHURRIED == 0 else steps
+        return [*steps, Wait(9.0)] if self.drawn % UNHURRIED == 0 else steps

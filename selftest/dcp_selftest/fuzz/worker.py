@@ -81,7 +81,6 @@ class Totals(NamedTuple):
     frames: int = 0
     kinds: dict[str, int] = {}  # noqa: RUF012 - never changed
     fields: Counter[Touch] = Counter()  # noqa: RUF012
-    states: Counter[Touch] = Counter()  # noqa: RUF012
     effects: Counter[str] = Counter()  # noqa: RUF012
     """Number of effects by signature, without those during minimisation."""
     lines: frozenset[tuple[str, int]] = frozenset()
@@ -165,7 +164,7 @@ class Worker:
         self._known = set(settings.state.findings)
         coverage = settings.state.coverage
         # Coverage from before counts as reached, but is not part of this worker's report.
-        self._fields, self._states = counter_of(coverage.fields), counter_of(coverage.states)
+        self._fields = counter_of(coverage.fields)
         campaign.has_reached(coverage)
         campaign.aside = self._aside
         self._guide: Guide | None = guide(campaign) if settings.guided else None
@@ -195,7 +194,6 @@ class Worker:
             state.frames,
             state.kinds,
             (mutator.reached if mutator is not None else Counter[Touch]()) - self._fields,
-            campaign.reached_states - self._states,
             self._effects,
             frozenset(self._guide.lines) if self._guide is not None else frozenset(),
         )

@@ -307,7 +307,6 @@ class _Workers:
             kinds.update(totals.kinds)
             effects.update(totals.effects)
             lines |= totals.lines
-            campaign.reached_states.update(totals.states)
             if campaign.mutator is not None:
                 campaign.mutator.reached.update(totals.fields)
         state.kinds = dict(kinds)

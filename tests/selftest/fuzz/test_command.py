@@ -85,8 +85,8 @@ def test_coverage_is_written_with_missing_pairs(tmp_path):
     done = fuzz("stack", "--max-cases", "5", "--coverage", str(path))
     assert done.returncode == 0, done.stderr
     coverage = json.loads(path.read_text())
-    assert len(coverage["missing_states"]) > 10
-    assert f"variable: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
+    assert len(coverage["missing"]) > 10
+    assert f"done to it: {coverage['possible'] - len(coverage['missing'])} of" in done.stdout
     shown = fuzz("stack", "--max-cases", "5", "--coverage")
     assert shown.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
     assert fuzz("codec", "--coverage", "beacon").returncode == 2

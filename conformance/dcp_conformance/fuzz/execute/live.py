@@ -10,19 +10,16 @@ import time
 from typing import Final
 
 from dcp_codec.errors import DecodeError
-from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
+from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 from dcp_conformance.execution.survival.life import DEATH_PATIENCE
 from dcp_conformance.execution.target import Target as Opened
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait
 from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.oracle import Limits
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
 
-from .differential import Comparison
-from .liveness import PROBES, begun_again, dead, last_number, lifelessness
-from .model_monitor import Observer, bad_beacon
+from .liveness import PROBES, bad_beacon, begun_again, dead, last_number, lifelessness
 
 #: Default number of frames a second: more than the nodes of a dense network send, and too few for a link to drop any.
 RATE: Final = 500.0
@@ -51,16 +48,14 @@ class LiveTarget:
         opened: Opened,
         *,
         rate: float = RATE,
-        differential: bool = False,
         probes: int = PROBES,
     ) -> None:
-        """``rate``: frames a second. ``differential``: compare with the model. ``probes``: markers to check life."""
+        """``rate``: frames a second. ``probes``: markers to check life."""
         self._runner = opened.runner
         self.session: Session = opened.runner.session
         self.control: SutControl | None = opened.runner.control
         self.name = opened.runner.about().name or self.session.lower.name
         self._interval = round(1_000_000_000 / rate)
-        self._differential = differential
         self._probes = probes
         self._checked = False
         self._was_well = False
@@ -68,8 +63,6 @@ class LiveTarget:
         """Sequence number of the last received beacon; None if unknown."""
         self._uncertain_state = False
         """Whether the last steps had an effect, so that the state of the implementation is unknown."""
-        self.observer: Observer | None = None
-        """The model of the last steps, in differential mode."""
         self.frames = 0
         self.restarts = 0
 
@@ -77,8 +70,7 @@ class LiveTarget:
         """See :class:`~dcp_conformance.fuzz.steps.Target`. Raises :class:`NotAliveError`, ``LowerTesterError``."""
         bench = self.prepare()
         self.session.lower.health()
-        comparison = self._comparison(bench)
-        effect = carry_out(bench, steps, self.control, self._interval, self._probes, comparison)
+        effect = carry_out(bench, steps, self.control, self._interval, self._probes)
         # The bench has the sequence numbers of this test only; compare them with the last one before it, too.
         effect = effect or begun_again(bench, self._number)
         number = last_number(bench)
@@ -122,13 +114,8 @@ class LiveTarget:
             raise NotAliveError(
                 f"the implementation is dead, and there is no command to restart it: {control.why_dead()}"
             )
-        # Only a restart surely restores the initial state after an effect. The model needs the initial state, too.
-        return control.can_restart and (self._uncertain_state or (self._differential and not self._can_reset))
-
-    @property
-    def _can_reset(self) -> bool:
-        upper = self.session.upper
-        return upper is not None and "UT-Reset" in upper.methods
+        # Only a restart surely restores the initial state after an effect.
+        return control.can_restart and self._uncertain_state
 
     def _restart(self) -> None:
         """Restart the implementation, and wait for its upper tester. Raises :class:`NotAliveError`."""
@@ -146,12 +133,7 @@ class LiveTarget:
     def _reset(self) -> None:
         """Reset the implementation by its upper tester; reconnect first if it was restarted from outside."""
         upper = self.session.upper
-        if upper is None or not self._can_reset:
-            if self._differential:
-                raise UsageError(
-                    "each comparison needs an implementation in its initial state: give an upper tester with "
-                    "UT-Reset (--ut), or a command that restarts the implementation (--restart, or --start)"
-                )
+        if upper is None or "UT-Reset" not in upper.methods:
             return
         try:
             try:
@@ -221,29 +203,6 @@ class LiveTarget:
                 return why
             bench.receiver.take_newcomer()
 
-    def _comparison(self, bench: Bench) -> Comparison | None:
-        if not self._differential:
-            return None
-        self.observer = observer_of(bench)
-        return Comparison(bench, self.observer)
-
-
-def observer_of(bench: Bench) -> Observer:
-    """Return a model with the known parameters of the implementation. Stops the case if its identifier is unknown."""
-    limits = Limits(
-        bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
-        bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
-        bench.sut.parameter("VARDISPAR_MAX_REPETITIONS"),
-    )
-    return Observer(
-        bench.codec,
-        bench.identifiers.sut_id,
-        bench.period,
-        network=bench.sut.parameter("BPPAR_NETWORK_ID"),
-        limits=limits,
-        window=bench.sut.reaction + 1,
-    )
-
 
 def carry_out(
     bench: Bench,
@@ -251,12 +210,10 @@ def carry_out(
     control: SutControl | None,
     interval: int,
     probes: int = PROBES,
-    comparison: Comparison | None = None,
 ) -> Effect | None:
     """Execute steps on the implementation of a bench, ``interval`` ns between frames, then check that it is alive.
 
-    Returns the first effect, or None. ``comparison`` compares with a model as well. Raises ``LowerTesterError`` if the
-    link cannot be used.
+    Returns the first effect, or None. Raises ``LowerTesterError`` if the link cannot be used.
     """
     at = 0
     # A marker must not use a variable of the steps.
@@ -264,8 +221,8 @@ def carry_out(
     pace = _Pace(bench, interval)
     try:
         for at, step in enumerate(steps):
-            effect = _step(bench, step, pace, at, comparison) or dead(control, at)
-            if effect is not None:
+            _step(bench, step, pace)
+            if (effect := dead(control, at)) is not None:
                 return effect
         why = lifelessness(bench, control, probes) or begun_again(bench)
     except UpperTesterError as error:
@@ -273,12 +230,9 @@ def carry_out(
     if why is not None:
         return why._replace(step=at)
     bad = next((heard for heard in bench.heard if heard.problem is not None), None)
-    if bad is not None and bad.problem is not None and comparison is None:
+    if bad is not None and bad.problem is not None:
         return bad_beacon(bench.codec, bad.octets, bad.problem, at)
-    try:
-        return comparison.round(at) if comparison is not None and not bench.losses.own() else None
-    except UpperTesterError as error:
-        return Effect("mute", str(error), at, "upper")
+    return None
 
 
 def _without_upper_tester(control: SutControl | None, at: int, error: UpperTesterError) -> Effect:
@@ -315,27 +269,21 @@ class _Pace:
         self._due = max(self._due, self._bench.now())
 
 
-def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison | None) -> Effect | None:
+def _step(bench: Bench, step: Step, pace: _Pace) -> None:
     match step:
         case Frame():
             # Truncate to the maximum frame size of the link; the rest of a long list of elements has no other effect.
             octets = step.octets[: bench.profile.limits.uwb_max_packet]
             bench.transmission.send(octets, step.source)
-            if comparison is not None:
-                comparison.follow()
             pace.keep()
         case Wait():
             bench.wait(step.periods)
             pace.after_a_break()
         case Call():
             upper = bench.session.upper
-            if upper is None or step.method not in upper.methods:
-                return None
-            answer = bench.call(step.method, **step.params)
-            pace.after_a_break()
-            if comparison is not None:
-                return comparison.called(step, answer, at)
-    return comparison.effect_at(at) if comparison is not None else None
+            if upper is not None and step.method in upper.methods:
+                bench.call(step.method, **step.params)
+                pace.after_a_break()
 
 
 def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
@@ -376,4 +324,4 @@ def _case(purpose: str) -> Case:
     )
 
 
-__all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out", "observer_of"]
+__all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out"]

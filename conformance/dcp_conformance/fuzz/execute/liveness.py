@@ -10,7 +10,10 @@ from typing import Final
 
 from dcp_spec.constants import seqno_modulus
 
+from dcp_codec.codec import Codec
+from dcp_codec.errors import Problem
 from dcp_conformance.errors import StopCase, UpperTesterError
+from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench
@@ -23,6 +26,13 @@ _LONG: Final = 100.0
 _SILENCE: Final = 10.0
 #: A beacon sequence number below this, after a larger one, indicates a restart; reordering changes it by less.
 _BEGINNING: Final = 1000
+
+
+def bad_beacon(codec: Codec, octets: bytes, problem: Problem, step: int) -> Effect:
+    """Return the effect of a beacon that cannot be decoded, with the requirement for senders that it violates."""
+    broken = judge(octets, codec)
+    rules = broken[0].requirements if broken else ()
+    return Effect("bad-beacon", f"an invalid beacon: {problem}", step, " ".join((problem.reason, *rules)))
 
 
 def lifelessness(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:

@@ -58,7 +58,7 @@ class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
 class SavedTarget(msgspec.Struct, frozen=True, omit_defaults=True):
     """The target: the mode of the command, and the options to use the same target again."""
 
-    mode: Literal["codec", "stack", "live", "differential", "model"]
+    mode: Literal["codec", "stack", "live", "model"]
     name: str = ""
     mutant: str = ""
     options: str = ""

@@ -1,4 +1,4 @@
-"""Coverage of a campaign: fields by class of value, and states of variables by kind of message."""
+"""Coverage of a campaign: fields by class of value."""
 
 from __future__ import annotations
 
@@ -20,12 +20,10 @@ _WORDS = {
     "twice": "repeated", "drop": "left out", "reorder": "moved", "splice": "from another",
     "trail": "octets added", "bomb": "all counts raised",
 }  # fmt: skip
-#: States of a variable, the columns of the second table.
-STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
 
 
 class Pair(msgspec.Struct, frozen=True):
-    """A cell of a table: field or state (``what``), class or message (``how``), and count."""
+    """A cell of the table: field (``what``), class of values (``how``), and count."""
 
     what: str
     how: str
@@ -33,35 +31,26 @@ class Pair(msgspec.Struct, frozen=True):
 
 
 class Coverage(msgspec.Struct):
-    """Both tables. ``possible``: number of pairs of field and class that the pool of messages allows."""
+    """The table. ``possible``: number of pairs of field and class that the pool of messages allows."""
 
     fields: list[Pair] = []
-    states: list[Pair] = []
     possible: int = 0
     missing: list[str] = []
     """Pairs of field and class that were not reached."""
-    possible_states: int = 0
-    """Number of possible pairs of state and message; 0 if they were not counted."""
-    missing_states: list[str] = []
     lines: int = 0
     """Number of executed lines of the target; 0 if they were not counted."""
 
 
 def tables(
     fields: Counter[tuple[str, str]],
-    states: Counter[tuple[str, str]],
     possible: Collection[tuple[str, str]],
     lines: int = 0,
-    possible_states: Collection[tuple[str, str]] = (),
 ) -> Coverage:
-    """Return the tables of these counters."""
+    """Return the table of these counters."""
     return Coverage(
         list(_pairs(fields)),
-        list(_pairs(states)),
         len(possible),
         sorted(f"{what or 'message'} {how}" for what, how in possible if not fields[what, how]),
-        len(possible_states),
-        sorted(f"{what}: {how}" for what, how in possible_states if not states[what, how]),
         lines,
     )
 
@@ -73,12 +62,12 @@ def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
 
 
 def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:
-    """Return the counter from which a table was made."""
+    """Return the counter from which the table was made."""
     return Counter({(pair.what, pair.how): pair.count for pair in pairs})
 
 
 def shown(coverage: Coverage) -> list[str]:
-    """Return the tables as lines of at most 80 columns. A 0 means not reached, a blank cell an impossible pair."""
+    """Return the table as lines of at most 80 columns. A 0 means not reached, a blank cell an impossible pair."""
     lines: list[str] = []
     if coverage.possible:
         reached = coverage.possible - len(coverage.missing)
@@ -89,12 +78,6 @@ def shown(coverage: Coverage) -> list[str]:
             for what, _, how in (each.rpartition(" ") for each in coverage.missing)
         }
         lines += _fields(cells)
-    if coverage.possible_states:
-        reached = coverage.possible_states - len(coverage.missing_states)
-        lines.append(f"message x state of the variable: {reached} of {coverage.possible_states} pairs")
-        cells = {(each.how, each.what): each.count for each in coverage.states if each.what in STATES}
-        cells |= {(how, what): 0 for what, _, how in (each.partition(": ") for each in coverage.missing_states)}
-        lines += _states(cells)
     if coverage.lines:
         lines.append(f"lines of the target: {coverage.lines}")
     return lines
@@ -120,13 +103,6 @@ def _fields(cells: Cells) -> list[str]:
     if whole:
         lines.append(f"  whole message: {', '.join(f'{_worded(how)} {_short(count)}' for how, count in whole)}")
     return lines
-
-
-def _states(cells: Cells) -> list[str]:
-    first = max(len(message) for message, _ in cells)
-    rows = _rows(cells, STATES, first)
-    opposite = any("opposite" in message for message, _ in cells)
-    return [*_heading(STATES, first), *rows, *["  (opposite: half the circle of numbers away)"] * opposite]
 
 
 def _heading(columns: tuple[str, ...], first: int) -> list[str]:

@@ -30,8 +30,6 @@ from .elements import CREATION, Parts
 
 #: Number of neighbours of a flood.
 _FLOOD: Final = 3000
-#: Maximum size of the number range for which sequences go through all sequence numbers.
-_SHORT_WAY: Final = 256
 #: Service calls, most with invalid parameters, that do not change the state of the node permanently.
 _ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("RTDB-Read", {"varId": -1}),
@@ -65,22 +63,13 @@ class Sequences(Parts):
         self._kinds: list[tuple[float, str, Callable[[], list[Step]]]] = [
             (30, "mixed", self.mixed),
             (40, "mutated", self.mutated),
-            (25, "creation-times", self.creation_times),
-            (25, "sequence-wrap", self.sequence_wrap),
-            (20, "delete-and-create", self.delete_and_create),
-            (20, "requests", self.requests),
-            (15, "two-producers", self.two_producers),
+            (120, "records", self.records),
             (15, "spoofed-sender", self.spoofed_sender),
             (30, "services", self.services),
-            (20, "one-payload", self.one_payload),
             (2, "garbage", self.garbage),
             (0.4, "all-variables", self.all_variables),
             (1, "largest", self.largest),
         ]
-        if self._modulus <= _SHORT_WAY:
-            self._kinds.append((0.1, "once-around", self.once_around))
-        if self._timeout:
-            self._kinds.append((6, "soft-state", self.soft_state))
         if codec.report_plan is not None:
             self._kinds.append((15, "reports", self.reports))
         if recorded:
@@ -124,112 +113,30 @@ class Sequences(Parts):
             found += self.pause()
         return found
 
-    def creation_times(self) -> list[Step]:
-        """Create one variable repeatedly, with earlier, equal and later creation times, by different producers."""
-        var_id, found = self.var_id(), list[Step]()
-        time = CREATION
-        for _ in range(2 + self._chance.below(4)):
-            # The last value is later, but its lower 32 bits are smaller.
-            time += self._chance.one_of((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
-            time = max(0, min(time, self._latest))
-            producer = self.own_id if self.rng.random() < 0.1 else None
-            made = self.good_create if self.rng.random() < 0.7 else self.create
-            create = made(var_id, peer=1 + self._chance.below(2), creation=time, seqno=self.seqno(), producer=producer)
-            found.append(self.frame(create))
-            if self.rng.random() < 0.2:
-                found.append(self.frame(VarDelete(var_id)))
-            found += self.pause()
-        return found
-
-    def sequence_wrap(self) -> list[Step]:
-        """Send updates, summaries and requests with sequence numbers near wrap-around."""
-        var_id, number = self.var_id(), self.seqno()
-        found: list[Step] = [self.frame(self.good_create(var_id, seqno=number))]
+    def records(self) -> list[Step]:
+        """Send records of all kinds about one variable: its states, numbers near wrap-around, two producers."""
+        var_id, number, time, found = self.var_id(), self.seqno(), CREATION, list[Step]()
+        if self.rng.random() < 0.7:
+            found.append(self.frame(self.good_create(var_id, seqno=number, timeout=self._chance.one_of((0, 0, 300)))))
         for _ in range(2 + self._chance.below(5)):
-            other = self.seqno(number)
-            record = self._chance.one_of(
-                (VarUpdate(var_id, other, self.value()), VarSumm(var_id, other), VarReqUpdate(var_id, other))
-            )
-            found.append(self.frame(record, peer=1 + self._chance.below(3)))
-            if isinstance(record, VarUpdate) and self.rng.random() < 0.6:
-                number = other
-            found += self.pause()
-        return found
-
-    def delete_and_create(self) -> list[Step]:
-        """Create and delete a variable repeatedly, sometimes in one beacon."""
-        var_id, time, found = self.var_id(), CREATION, list[Step]()
-        for _ in range(1 + self._chance.below(4)):
-            time += self._chance.one_of((1, 1, 1, 0))
-            create = self.good_create(var_id, creation=time, seqno=self.seqno())
-            if self.rng.random() < 0.3:
-                found.append(self.frame(create, VarDelete(var_id)))
-            else:
-                found += [self.frame(create), *self.pause(), self.frame(VarDelete(var_id))]
-            late = (
-                VarUpdate(var_id, self.seqno(), b"late"),
-                VarSumm(var_id, 3),
-                VarReqCreate(var_id),
+            # The last value is later, but its lower 32 bits are smaller.
+            time += self._chance.one_of((0, 1, 1, -1, 256, 65_536, (1 << 32) - 500))
+            time = max(0, min(time, self._latest))
+            made = self.good_create if self.rng.random() < 0.7 else self.create
+            peer, producer = 1 + self._chance.below(2), self.own_id if self.rng.random() < 0.1 else None
+            many = range(self._chance.one_of((1, 1, 2, 60)))
+            about: list[VardisRecord] = [
+                made(var_id, peer=peer, creation=time, seqno=self.seqno(), producer=producer),
                 VarDelete(var_id),
-            )
-            if self.rng.random() < 0.5:
-                found.append(self.frame(self._chance.one_of(late), peer=2))
-            found += self.pause()
-        return found
-
-    def requests(self) -> list[Step]:
-        """Send requests for existing and unknown variables."""
-        var_id = self.var_id()
-        found: list[Step] = [self.frame(self.good_create(var_id, seqno=5))] if self.rng.random() < 0.7 else []
-        for _ in range(1 + self._chance.below(5)):
-            many = self._chance.one_of((1, 2, 10, 60))
-            ids = [(var_id + number) % (self._top_var + 1) for number in range(many)]
-            kind = self._chance.below(3)
-            records: list[VardisRecord] = [
-                VarReqCreate(each)
-                if kind == 0
-                else VarReqUpdate(each, self.seqno(5))
-                if kind == 1
-                else VarSumm(each, 5)
-                for each in ids
+                VarUpdate(var_id, (number + 1) % self._modulus, self.value()),
+                VarUpdate(var_id, self.seqno(number), self.value()),
+                *(VarSumm((var_id + each) % (self._top_var + 1), self.seqno(number)) for each in many),
+                VarReqUpdate(var_id, self.seqno(number)),
+                VarReqCreate(var_id),
             ]
-            found.append(self.frame(*records, peer=1 + self._chance.below(3)))
+            found.append(self.frame(*self.rng.sample(about, 1 + self._chance.below(3)), peer=1 + self._chance.below(3)))
             found += self.pause()
-        return found
-
-    def soft_state(self) -> list[Step]:
-        """Create a variable with a timeout, and send updates and other records about it."""
-        var_id, number, time = self.var_id(), self.seqno(), CREATION
-        timeout = self._chance.one_of((100, 300, 700, 1200))
-        found: list[Step] = [self.frame(self.good_create(var_id, seqno=number, timeout=timeout))]
-        for _ in range(1 + self._chance.below(4)):
-            found.append(Wait(self._chance.one_of((0.5, 2.0, 5.0, 11.0))))
-            number, time = (number + 1) % self._modulus, time + self._chance.below(2)
-            record = self._chance.one_of(
-                (
-                    VarUpdate(var_id, number, b"alive"),
-                    VarUpdate(var_id, number, b"alive"),
-                    VarSumm(var_id, (number - 1) % self._modulus),
-                    VarReqCreate(var_id),
-                    VarDelete(var_id),
-                    self.good_create(var_id, seqno=number, timeout=timeout, creation=time),
-                )
-            )
-            found.append(self.frame(record, peer=1 + self._chance.below(2)))
-        return [*found, Wait(self._chance.one_of((2.0, 25.0)))]
-
-    def two_producers(self) -> list[Step]:
-        """Let two stations act as the producer of one variable."""
-        var_id, found = self.var_id(), list[Step]()
-        for turn in range(2 + self._chance.below(4)):
-            peer = 1 + turn % 2
-            time = CREATION + self._chance.one_of((0, peer, turn))
-            record: VardisRecord = self.good_create(var_id, peer=peer, creation=time, seqno=self.seqno(turn))
-            if turn and self.rng.random() < 0.5:
-                record = VarUpdate(var_id, self.seqno(turn), bytes((peer,)))
-            found.append(self.frame(record, peer=peer))
-            found += self.pause()
-        return found
+        return [*found, Wait(12.0)] if self.rng.random() < 0.05 else found
 
     def spoofed_sender(self) -> list[Step]:
         """Send beacons with the identifier of the node itself, the broadcast address, or zeros."""
@@ -293,38 +200,9 @@ class Sequences(Parts):
             found += self.pause()
         return found
 
-    def once_around(self) -> list[Step]:
-        """Update a variable of the node until its sequence number wraps around."""
-        var_id = self.var_id()
-        found: list[Step] = [Call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "own", "value": "00"})]
-        for number in range(self._modulus + 2):
-            found.append(Call("RTDB-Update", {"varId": var_id, "value": f"{number % 256:02x}"}))
-        return [*found, Wait(2.0)]
-
     def _safety_data(self) -> dict[str, Any]:
         fields = self.codec.profile.srp.safety_data
         return {field.name: 1.5 if field.type.startswith("f") else 1 for field in fields if field.type != "opaque"}
-
-    def one_payload(self) -> list[Step]:
-        """Send several records about one variable in one payload; the processing order differs from the wire order."""
-        var_id, number = self.var_id(), self.seqno()
-        found: list[Step] = []
-        if self.rng.random() < 0.4:
-            found.append(self.frame(self.good_create(var_id, seqno=number)))
-        for turn in range(1 + self._chance.below(3)):
-            later = (number + 1) % self._modulus
-            records: list[VardisRecord] = [
-                self.good_create(var_id, seqno=number, creation=CREATION + turn),
-                VarUpdate(var_id, later, b"update"),
-                VarUpdate(var_id, self.seqno(number), b"other"),
-                VarDelete(var_id),
-                VarSumm(var_id, self.seqno(number)),
-                VarReqUpdate(var_id, self.seqno(number)),
-                VarReqCreate(var_id),
-            ]
-            found.append(self.frame(*self.rng.sample(records, 2 + self._chance.below(3))))
-            found += self.pause()
-        return found
 
     def garbage(self) -> list[Step]:
         """Send 60 mutated frames in succession, for faults of error counters and for leaks."""

@@ -2,7 +2,7 @@
 
 A crash leaves no message with its cause, so crashes are grouped by their probable cause. After minimising, a frame has
 only anomalies whose repair makes the implementation survive: they are the cause. A finding without an anomaly is named
-after its messages, and a finding about the state of variables after the message that was processed wrongly.
+after its messages.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from .anomalies import Anomaly, anomalies
 
 #: Maximum number of anomalies in the title of a cause.
 _MOST: Final = 3
-#: Requirements about records that are sent too often; they do not identify the cause.
-GENERAL: Final = frozenset({"VD-SCP-01", "VD-SCP-02", "VD-SCP-03", "VD-UPD-10", "VD-CMP-04", "VD-CMP-05"})
 #: Pattern of lines in which a program reports why it ends.
 _WHY: Final = re.compile(
     r"error|exception|fatal|abort|assert|panic|terminate|overflow|violation|corrupt|invalid|fault|traceback", re.I
@@ -69,26 +67,23 @@ def explained(
     first: Sequence[Step] = (),
     *,
     proven: bool = False,
-    culprit: str = "",
 ) -> Cause:
     """Return the cause of a finding with these minimised steps.
 
-    ``first``: the same steps before their frames were minimised; ``proven``: whether each anomaly is necessary;
-    ``culprit``: the requirement that is violated according to an experiment.
+    ``first``: the same steps before their frames were minimised; ``proven``: whether each anomaly is necessary.
     """
     found = _anomalies_in(codec, steps)
     left = {each.kind for each in found}
     title = _named(list(dict.fromkeys(each.kind for each in found)), codec, steps)
     about = _named(list(dict.fromkeys(each.group for each in found)), codec, steps)
     also = dict.fromkeys(each.kind for each in _anomalies_in(codec, first) if each.kind not in left)
-    decides = decided_by(effect, found if proven or effect.kind in STOPPED else (), culprit)
+    decides = decided_by(effect, found if effect.kind in STOPPED else ())
     if effect.kind in STOPPED:
         reaction = death_of(effect)
         group = f"{reaction}: {about}"
     else:
         reaction = f"breaks {', '.join(decides)}" if decides else effect.signature
-        # The requirement found by an experiment is the cause, whichever messages show it.
-        group = reaction if culprit or effect.kind == "bad-beacon" else f"{reaction}: {about}"
+        group = reaction if effect.kind == "bad-beacon" else f"{reaction}: {about}"
     return Cause(
         title,
         reaction,
@@ -100,13 +95,9 @@ def explained(
     )
 
 
-def decided_by(effect: Effect, found: Sequence[Anomaly] = (), culprit: str = "") -> tuple[str, ...]:
+def decided_by(effect: Effect, found: Sequence[Anomaly] = ()) -> tuple[str, ...]:
     """Return the requirements that decide an effect: those of the anomalies after a crash, else those it names."""
-    if culprit:
-        return (culprit,)
-    damaged = effect.kind in ("said", "state") and any(each.is_damage for each in found)
-    if effect.kind in STOPPED or damaged:
-        # Damaged frames can stop an entity, or corrupt its state.
+    if effect.kind in STOPPED:
         return tuple(dict.fromkeys(each for anomaly in found for each in anomaly.requirements)) or ROBUSTNESS
     known = requirements()
     return tuple(dict.fromkeys(word for word in effect.signature.split() if word in known))
@@ -155,4 +146,4 @@ def _content(beacon: Beacon) -> str:
     return f"a valid beacon with {', '.join(sorted(kinds)) or 'nothing that is known'}"
 
 
-__all__ = ["GENERAL", "Cause", "cause_of", "death_of", "decided_by", "explained", "kinds_in"]
+__all__ = ["Cause", "cause_of", "death_of", "decided_by", "explained", "kinds_in"]
