@@ -164,3 +164,25 @@ def test_a_process_that_starts_slowly_is_waited_for(tmp_path):
     words = ["run", "--link", LINK, "--beacon-period", "20", "--start", start, SANITY]
     done = subprocess.run([*python, *words], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(("fault", "passes"), [("", True), ("M-DATA-01-swapped-length", False)])
+def test_the_page_of_the_model_has_a_test_for_pytest(tmp_path: Path, fault: str, passes: bool) -> None:
+    """The program of docs/model.md, with the node of this kit, or a mutant of it, in the place of ``build/my-node``."""
+    page = (Path(__file__).parents[2] / "docs" / "model.md").read_text()
+    program = page.partition("in `test_node.py`:\n\n```python\n")[2].partition("```")[0]
+    link, socket = LINK.removeprefix("udp:"), tmp_path / "node.sock"
+    node = (
+        [sys.executable, "-m", "dcp_selftest.mutants", fault]
+        if fault
+        else [str(Path(sys.executable).parent / "dcp-node"), "run"]
+    )
+    start = shlex.join([*node, "--link", LINK, "--control", str(socket), "--beacon-period", "20"])
+    program = program.replace("build/my-node --udp 239.1.1.1:5950 --control /tmp/my-node.sock", start)
+    program = program.replace("239.1.1.1:5950", link).replace("/tmp/my-node.sock", str(socket))
+    (tmp_path / "test_node.py").write_text(program.replace("sequences=20", "sequences=5"))
+    (tmp_path / "my-node.toml").write_text("[pixit]\nbeacon_period_ms = 20\n")
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), "test_node.py"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=10 * PATIENCE, check=False)
+    assert (done.returncode == 0) is passes, done.stdout + done.stderr
+    assert ("a valid beacon" in done.stdout) is not passes
