@@ -143,12 +143,11 @@ def test_identifiers_of_cases_do_not_depend_on_other_artefacts(tmp_path):
 
 
 def test_the_requirement_of_a_finding_is_kept_and_named_by_its_case(tmp_path):
-    """An answer that did not come is not a death: the requirement is that of the answer."""
-    place = "missing REQUEST-VARCREATES VD-PS-01"
-    path = saved(tmp_path, Effect("said", "variable 5: REQUEST-VARCREATES did not come", 0, place))
-    assert load(path).effect.requirements == ("VD-PS-01",)
+    """A wrong beacon is not a death: the requirement is that for its sender."""
+    path = saved(tmp_path, Effect("bad-beacon", "an invalid beacon", 0, "zero-count BP-HDR-07"))
+    assert load(path).effect.requirements == ("BP-HDR-07",)
     [case] = artefact_cases(tmp_path)
-    assert case.requirements == ("VD-PS-01",)
+    assert case.requirements == ("BP-HDR-07",)
     assert not case.robustness
     gone = Effect("dead", "it is gone", 0, "dead")
     assert load(saved(tmp_path / "dead", gone, steps=[Frame(SOUND)])).effect.requirements == ROBUSTNESS
@@ -199,7 +198,7 @@ def test_output_of_an_implementation_is_escaped_on_the_terminal(tmp_path):
 
 def test_anomalies_are_shown_for_frames_of_any_length(tmp_path):
     long = Frame(CODEC.encode(Beacon(BPHeader(b"\2\0\0\0\0\1", 1, 0x1111), (Payload(2, summaries(200)),)))[:-1])
-    line, _ = evidence_lines(CODEC, load(saved(tmp_path, Effect("state", "x", 0), steps=[long])))
+    line, _ = evidence_lines(CODEC, load(saved(tmp_path, Effect("unbounded", "x", 0), steps=[long])))
     assert line.endswith("ERROR beacon-overrun at bp.length [BP-RX-15]")
     assert len(line) < 300
 

@@ -101,9 +101,9 @@ def test_the_budget_ends_minimising():
 
 
 def test_numbers_in_a_text_do_not_distinguish_effects():
-    one = Effect("state", "variable 3 has number 7 value '00ff'", 2)
-    assert one.signature == Effect("state", "variable 12 has number 0 value ''", 9).signature
-    assert one.signature != Effect("state", "variable 3 is alive", 2).signature
+    one = Effect("unbounded", "variable 3 has number 7 value '00ff'", 2)
+    assert one.signature == Effect("unbounded", "variable 12 has number 0 value ''", 9).signature
+    assert one.signature != Effect("unbounded", "variable 3 is alive", 2).signature
     assert one.signature != Effect("said", "variable 3 has number 7 value '00ff'", 2).signature
 
 

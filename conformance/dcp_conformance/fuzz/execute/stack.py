@@ -97,7 +97,7 @@ class StackTarget:
             self.frames += 1
             sut.deliver(step.octets)
         elif isinstance(step, Wait):
-            self._wait(sut, step.periods)
+            return self._wait(sut, step.periods, at)
         else:
             try:
                 answer = upper.call(step.method, step.params)
@@ -107,10 +107,13 @@ class StackTarget:
                 return Effect("raised", f"{step.method}: {answer.message}", at, f"{step.method}: internal error")
         return None
 
-    def _wait(self, sut: InProcess, periods: float) -> None:
+    def _wait(self, sut: _Watched, periods: float, at: int) -> Effect | None:
         until = sut.now + round(periods * self._period)
-        while sut.now < until and not sut.died:
+        while sut.now < until:
             sut.advance(until)
+            if effect := self._seen(sut, at):
+                return effect
+        return None
 
     def _seen(self, sut: _Watched, at: int, asked: int | None = None) -> Effect | None:
         """Return the effect if the node has raised an exception, or has sent an invalid beacon.
