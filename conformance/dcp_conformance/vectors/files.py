@@ -21,16 +21,18 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.common.schemas import schema_components
 from dcp_codec.export.jsonschema import DRAFT, beacon_schema
 
-from . import wire
+from . import behaviour, wire
 from .showing import show_values
 
 WIRE: Final = "wire.schema.json"
+BEHAVIOUR: Final = "behaviour.schema.json"
+KINDS: Final = ("wire", "behaviour")
 #: Date of all files in an archive: archives of equal vectors are equal.
 _DATE: Final = (2020, 1, 1, 0, 0, 0)
 
 
 class Note(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a flag means."""
+    """The meaning of a flag."""
 
     description: str
     alternatives: Mapping[str, str] = {}
@@ -56,6 +58,25 @@ class WireFile(msgspec.Struct, frozen=True, rename="camel"):
     test_groups: Sequence[WireGroup]
 
 
+class BehaviourGroup(msgspec.Struct, frozen=True):
+    """All behaviour vectors of a node with these settings."""
+
+    settings: behaviour.Settings
+    tests: Sequence[behaviour.Vector]
+
+
+class BehaviourFile(msgspec.Struct, frozen=True, rename="camel"):
+    """The content of ``behaviour.json``."""
+
+    schema: str
+    generator_version: str
+    profile: str
+    spec_version: str
+    number_of_tests: int
+    notes: Mapping[str, Note]
+    test_groups: Sequence[BehaviourGroup]
+
+
 def notes_of(flags: Iterable[str], meanings: Mapping[str, str]) -> dict[str, Note]:
     """Return what flags mean: readings by their catalogue, others by ``meanings``."""
     found = {}
@@ -77,23 +98,42 @@ def wire_file(codec: Codec, vectors: Sequence[wire.Vector]) -> WireFile:
     return WireFile(WIRE, __version__, codec.profile.name, version, len(vectors), notes, groups)
 
 
+def behaviour_file(codec: Codec, found: behaviour.Collection) -> BehaviourFile:
+    """Return the content of ``behaviour.json``."""
+    notes = notes_of((flag for each in found.tests for flag in each.flags), {})
+    version, groups = str(codec.profile.spec_version), [BehaviourGroup(found.settings, found.tests)]
+    return BehaviourFile(BEHAVIOUR, __version__, codec.profile.name, version, len(found.tests), notes, groups)
+
+
 def schema(root: type, title: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a file."""
     (reference,), definitions = schema_components([root])
     return {"$schema": DRAFT, "title": title, **reference, "$defs": definitions}
 
 
-def files(profiles: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+def files(profiles: Iterable[str], kinds: Iterable[str] = KINDS) -> Iterator[tuple[str, bytes]]:
     """Yield paths and contents of all files of these profiles."""
     yield "README.md", resources.files("dcp_conformance").joinpath("data", "vectors-readme.md").read_bytes()
-    yield WIRE, _json(schema(WireFile, "Wire vectors of the Drone Coordination Protocol"))
+    kinds = set(kinds)
+    if "wire" in kinds:
+        yield WIRE, _json(schema(WireFile, "Wire vectors of the Drone Coordination Protocol"))
+    if "behaviour" in kinds:
+        yield BEHAVIOUR, _json(schema(BehaviourFile, "Behaviour vectors of the Drone Coordination Protocol"))
     for name in profiles:
         codec = get_codec(name)
-        vectors = wire.vectors(codec)
-        yield f"{name}/wire.json", _json(wire_file(codec, vectors))
-        yield f"{name}/wire.txt", "".join(f"{each}\n" for each in wire.lines(codec, vectors)).encode()
-        yield f"{name}/beacon.schema.json", _json(beacon_schema(codec))
-        yield f"{name}/show_values.h", show_values(codec).encode()
+        if "wire" in kinds:
+            vectors = wire.vectors(codec)
+            yield f"{name}/wire.json", _json(wire_file(codec, vectors))
+            yield f"{name}/wire.txt", _lines(wire.lines(codec, vectors))
+            yield f"{name}/beacon.schema.json", _json(beacon_schema(codec))
+            yield f"{name}/show_values.h", show_values(codec).encode()
+        if "behaviour" in kinds and (found := behaviour.load(name)) is not None:
+            yield f"{name}/behaviour.json", _json(behaviour_file(codec, found))
+            yield f"{name}/behaviour.txt", _lines(behaviour.lines(found))
+
+
+def _lines(lines: Iterable[str]) -> bytes:
+    return "".join(f"{each}\n" for each in lines).encode()
 
 
 def _json(value: object) -> bytes:
@@ -129,6 +169,11 @@ def wire_digests(vectors: Iterable[wire.Vector]) -> dict[str, list[str]]:
         meaning = each.tc_id, each.octets, each.values, each.problem, each.used, each.direction
         found.setdefault(each.tc_id.partition(":")[0], []).append(digest(meaning))
     return found
+
+
+def behaviour_digests(found: behaviour.Collection) -> list[str]:
+    """Return the digests of behaviour vectors."""
+    return [digest(each) for each in found.tests]
 
 
 __all__ = ["Note", "WireFile", "digest", "files", "notes_of", "schema", "wire_digests", "wire_file", "write"]

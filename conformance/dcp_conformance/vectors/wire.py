@@ -46,6 +46,15 @@ class Expected(msgspec.Struct, frozen=True):
     offset: int
     """Octet at which the field begins, from the first octet of the beacon."""
     requirement: str | None
+    needed: int | None
+    available: int | None
+    """Numbers of octets, or for reasons that compare numbers, the number that should be there and the one found."""
+
+
+def expected_of(problem: Problem) -> Expected:
+    """Return a problem as vectors have it."""
+    where = problem.reason, problem.path, problem.offset, problem.requirement
+    return Expected(*where, problem.needed, problem.available)
 
 
 class Vector(msgspec.Struct, frozen=True, omit_defaults=True, rename="camel"):
@@ -231,7 +240,7 @@ class _Maker:
             _, used = codec.decode_from(octets)
         except DecodeError as error:
             problem = error.problem
-            expected = Expected(problem.reason, problem.path, problem.offset, problem.requirement)
+            expected = expected_of(problem)
             disputed += [_BY_REASON[problem.reason]] if problem.reason in _BY_REASON else []
             disputed += ["X34"] if "vardis" in problem.path else []
             return Vector(
@@ -325,8 +334,8 @@ def _token(value: Any) -> str:
 def lines(codec: Codec, found: Iterable[Vector]) -> Iterator[str]:
     """Yield the vectors as lines: identifier, octets, and what a decoder finds; fields end with a tab.
 
-    ``V`` id octets used direction values, or ``R`` id octets reason offset requirement field. The field is without the
-    lists around it, as ``dcp_problem_t`` has it.
+    ``V`` id octets used direction values, or ``R`` id octets reason offset requirement field needed available. The
+    field is without the lists around it, as ``dcp_problem_t`` has it.
     """
     yield f"# wire vectors of profile {codec.profile.name}, form 1"
     for each in found:
@@ -337,11 +346,12 @@ def lines(codec: Codec, found: Iterable[Vector]) -> Iterator[str]:
         else:
             problem = each.problem
             name = problem.field.rpartition("]")[2].removeprefix(".")
-            why = (problem.reason, str(problem.offset), problem.requirement or "-", name or "-")
+            numbers = str(problem.needed or 0), str(problem.available or 0)
+            why = (problem.reason, str(problem.offset), problem.requirement or "-", name or "-", *numbers)
             yield "\t".join(("R", each.tc_id, octets, *why))
 
 
-#: What the flags of wire vectors mean, beside the readings.
+#: The meanings of the flags of wire vectors, beside the readings.
 FLAGS: Final[Mapping[str, str]] = WARNINGS
 
-__all__ = ["FLAGS", "Expected", "Vector", "lines", "tokens", "vectors"]
+__all__ = ["FLAGS", "Expected", "Vector", "expected_of", "lines", "tokens", "vectors"]

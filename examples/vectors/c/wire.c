@@ -69,6 +69,12 @@ static void run_invalid(char **field, const uint8_t *octets, size_t size)
         fail(field[1], "requirement", field[5], name);
     if (strcmp(problem.field[0] != '\0' ? problem.field : "-", field[6]) != 0)
         fail(field[1], "field", field[6], problem.field);
+    (void)snprintf(number, sizeof number, "%lu", (unsigned long)problem.needed);
+    if (strcmp(number, field[7]) != 0)
+        fail(field[1], "needed", field[7], number);
+    (void)snprintf(number, sizeof number, "%lu", (unsigned long)problem.available);
+    if (strcmp(number, field[8]) != 0)
+        fail(field[1], "available", field[8], number);
 }
 
 int main(int argc, char **argv)
@@ -82,10 +88,10 @@ int main(int argc, char **argv)
         return 2;
     }
     while (fgets(line, sizeof line, file) != NULL) {
-        char *field[7] = {line};
+        char *field[9] = {line};
         int n;
         line[strcspn(line, "\n")] = '\0';
-        for (n = 1; n < 7 && (field[n] = strchr(field[n - 1], '\t')) != NULL; n++)
+        for (n = 1; n < 9 && (field[n] = strchr(field[n - 1], '\t')) != NULL; n++)
             *field[n]++ = '\0';
         if (line[0] != '#') {
             /* A copy of exactly this size, so that a sanitizer notices a read behind it. */

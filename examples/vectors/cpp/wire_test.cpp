@@ -55,6 +55,8 @@ TEST_P(Wire, IsDecoded)
         EXPECT_EQ(std::to_string(problem.offset), fields[4]);
         EXPECT_EQ(requirement.empty() ? "-" : requirement, fields[5]);
         EXPECT_EQ(field.empty() ? "-" : field, fields[6]);
+        EXPECT_EQ(std::to_string(problem.needed), fields[7]);
+        EXPECT_EQ(std::to_string(problem.available), fields[8]);
         return;
     }
     EXPECT_EQ(std::to_string(problem.offset), fields[3]);

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from dcp_codec import Codec, DecodeError
-from dcp_codec.jsonform import beacon_from_json, beacon_json
+from dcp_codec.jsonform import beacon_from_json, beacon_json, problem_json
 
 FOLDER = Path(os.environ.get("DCP_VECTORS", "."))
 
@@ -23,12 +23,12 @@ def codec() -> Codec:
 
 
 def decode(octets: bytes) -> Any:
-    """The values and the number of octets, or reason, field, offset and requirement of the first problem."""
+    """The values and the number of octets, or the first problem."""
     try:
         _, used = codec().decode_from(octets)
     except DecodeError as error:
-        found = error.problem
-        return {"reason": found.reason, "field": found.path, "offset": found.offset, "requirement": found.requirement}
+        found = problem_json(error.problem)
+        return {"field": found.pop("path"), **found}
     return beacon_json(codec(), codec().dissect(octets).root), used
 
 
