@@ -1,7 +1,7 @@
 """Build everything that a release consists of: ``python -m tools.release [FOLDER]``, by default ``build/release``.
 
 Wheel and source distribution of the kit, wheel of its self-test, the generated C of the main profiles with the example
-node, test vectors (if there are any), the documentation site, the container file, and SHA-256 sums. Archives of one
+node, test vectors with their runners, the documentation site, the container file, and SHA-256 sums. Archives of one
 commit are equal: their files have the date of the commit and no owner.
 """
 
@@ -19,6 +19,8 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from dcp_conformance.vectors.files import files
+from dcp_spec.profile.loading import profile_names
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import get_codec
@@ -31,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: The profiles whose codec is in the archive: every version of the specification, and the public implementation.
 PROFILES = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.3", "cpp-2.0")
 EXAMPLE = ROOT / "examples" / "c-node"
-VECTORS = ROOT / "vectors"
+RUNNERS = ROOT / "examples" / "vectors"
 
 
 def archive(target: Path, top: str, files: Mapping[str, bytes], date: int) -> None:
@@ -64,6 +66,14 @@ def c_files() -> dict[str, bytes]:
     return found | {f"c-node/{Path(each).name}": (ROOT / each).read_bytes() for each in tracked}
 
 
+def vector_files() -> dict[str, bytes]:
+    """Return the test vectors of all profiles, and the runners."""
+    found = {"LICENSE": (ROOT / "LICENSE").read_bytes(), **dict(files(profile_names()))}
+    tracked = _output("git", "ls-files", RUNNERS.relative_to(ROOT).as_posix()).split()
+    runners = {str(Path(each).relative_to(RUNNERS.relative_to(ROOT))): (ROOT / each).read_bytes() for each in tracked}
+    return found | {f"runners/{name}": octets for name, octets in runners.items()}
+
+
 def _output(*command: str) -> str:
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout  # noqa: S603
 
@@ -83,8 +93,7 @@ def main() -> int:
             command = [sys.executable, "-m", "hatchling", "build", "-d", str(folder), "-t", target]
             subprocess.run(command, cwd=project, check=True, stdout=subprocess.DEVNULL)  # noqa: S603
     archive(folder / f"dcp-c-{__version__}.tar.gz", f"dcp-c-{__version__}", c_files(), date)
-    if VECTORS.is_dir():
-        archive(folder / f"dcp-vectors-{__version__}.tar.gz", f"dcp-vectors-{__version__}", files_below(VECTORS), date)
+    archive(folder / f"dcp-vectors-{__version__}.tar.gz", f"dcp-vectors-{__version__}", vector_files(), date)
     if not options.without_site:
         with tempfile.TemporaryDirectory() as work:
             site = Path(work) / "result"

@@ -22,6 +22,7 @@ main = CommandLine(
         "report": "Generate the page of a run again, or compare several runs in one table.",
         "compare": "Show which verdicts differ between two runs.",
         "interop": "Test networks of several implementations.",
+        "vectors": "Write test vectors for unit tests in any language.",
     },
     about="Test implementations of DCP (Drone Coordination Protocol), live or from recordings.",
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "

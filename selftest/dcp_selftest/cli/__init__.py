@@ -14,6 +14,7 @@ main = CommandLine(
         "variants": "Test the suite with permitted nodes, which it must not fail.",
         "generated": "Test the suite with random changes of the node's source.",
         "side-by-side": "Compare the verdicts of concurrent cases with those of cases in succession.",
+        "vectors": "Test the test vectors with permitted nodes and mutants.",
         "recordings": "Test 'dcp-conformance check' with simulated networks.",
         "interop": "Test 'dcp-conformance interop' with faulty and permitted nodes.",
         "fuzz": "Fuzz the reference node and our own functions in process.",

@@ -118,9 +118,9 @@ def mutated(site: Site) -> ast.Module:
     """Return the syntax tree of the module with the change of ``site``."""
     tree = ast.parse(_source(site.module))
     node = _nodes(tree)[site.number]
-    change = [each for each in _changes(node) if each.operator == site.operator][site.variant]
+    change = [each for each in changes(node) if each.operator == site.operator][site.variant]
     replacement = ast.Pass() if change.replacement is None else change.replacement
-    _replace(tree, node, ast.copy_location(replacement, node))
+    replace(tree, node, ast.copy_location(replacement, node))
     return ast.fix_missing_locations(tree)
 
 
@@ -132,7 +132,7 @@ def _sites_of(module: str) -> Iterator[Site]:
     for function, statement, node in _candidates(tree):
         span = _lines(statement) if id(statement) in functions else (0, 0)
         variants: dict[str, int] = {}
-        for change in _changes(node):
+        for change in changes(node):
             variant = variants[change.operator] = variants.get(change.operator, -1) + 1
             before = ast.unparse(node)
             after = "dropped" if change.replacement is None else ast.unparse(change.replacement)
@@ -213,7 +213,7 @@ def _is_only_for_readers(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Assert | ast.Raise | ast.Import | ast.ImportFrom | ast.Global | ast.Nonlocal)
 
 
-def _changes(node: ast.AST) -> Iterator[_Change]:
+def changes(node: ast.AST) -> Iterator[_Change]:
     if isinstance(node, ast.Compare) and len(node.ops) == 1:
         for other in _COMPARISONS.get(type(node.ops[0]), ()):
             yield _Change("comparison", ast.Compare(node.left, [other()], node.comparators))
@@ -274,7 +274,7 @@ def _changes_of_statement(node: ast.stmt) -> Iterator[_Change]:
             yield _Change("other return value", ast.Return(ast.Constant(None)))
 
 
-def _replace(tree: ast.Module, old: ast.AST, new: ast.AST) -> None:
+def replace(tree: ast.Module, old: ast.AST, new: ast.AST) -> None:
     for parent in ast.walk(tree):
         for name, value in ast.iter_fields(parent):
             if value is old:

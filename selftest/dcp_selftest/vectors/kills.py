@@ -1,0 +1,151 @@
+"""Test the vectors: permitted nodes must pass, and mutants must fail by the vectors alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+import msgspec
+from dcp_conformance.reference.inprocess import MakeNode, reference_config
+from dcp_conformance.vectors.behaviour import Collection, Vector
+
+from dcp_codec.codec import get_codec
+from dcp_selftest.mutants import Mutant, all_mutants
+from dcp_selftest.runner import in_processes
+from dcp_stack.config import NodeConfig
+
+from .making import family
+from .replay import failures, trace
+from .wire_kills import outcomes
+
+#: Shares of the mutants that the vectors must detect.
+WIRE_GOAL: Final = 0.8
+BEHAVIOUR_GOAL: Final = 0.6
+
+
+class Killed(msgspec.Struct, frozen=True):
+    """The outcome of the vectors for one mutant."""
+
+    mutant: str
+    vector: str
+    """The first vector that fails; empty if all pass."""
+    why: str
+
+
+def failure(vector: Vector, config: NodeConfig, make: MakeNode, seed: int = 1) -> str:
+    """Return what is wrong first when a node replays a vector; empty if nothing is."""
+    found = trace(config, make, vector.steps, vector.end, seed)
+    return next(failures(vector, found), "")
+
+
+def ordered(vectors: Iterable[Vector], mutant: Mutant) -> list[Vector]:
+    """Return the vectors, those about the requirements of a mutant first, and shorter ones before longer ones."""
+    named = set(mutant.requirements)
+    return sorted(vectors, key=lambda each: (not named & set(each.requirements), each.end * len(each.steps)))
+
+
+def kill(profile: str, mutant: Mutant, vectors: Sequence[Vector]) -> Killed:
+    """Replay vectors on a mutant until one fails."""
+    config = reference_config(get_codec(profile))
+    for each in vectors:
+        if why := failure(each, config, mutant.make):
+            return Killed(mutant.id, each.tc_id, why)
+    return Killed(mutant.id, "", "")
+
+
+def mutants_of(profile: str) -> Iterator[Mutant]:
+    """Yield the mutants that are faults in the version of a profile."""
+    version = get_codec(profile).profile.spec_version
+    return (each for each in all_mutants().values() if each.exists_in(version))
+
+
+class Refused(msgspec.Struct, frozen=True):
+    """A permitted node that fails a vector."""
+
+    node: str
+    vector: str
+    why: str
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True):
+    """The content of ``vectors.json``."""
+
+    profile: str
+    vectors: int
+    nodes: tuple[str, ...]
+    """The permitted nodes that passed or failed."""
+    refused: tuple[Refused, ...]
+    wire: tuple[Killed, ...]
+    behaviour: tuple[Killed, ...]
+
+    def summary(self) -> Iterator[str]:
+        """Yield the numbers as lines."""
+        yield f"{self.vectors} behaviour vectors, {len(self.nodes)} permitted nodes, {len(self.refused)} refusals"
+        for name, found in (("wire", self.wire), ("behaviour", self.behaviour)):
+            killed = sum(bool(each.vector) for each in found)
+            yield f"{name} mutants: {killed} of {len(found)} detected ({100 * killed / max(1, len(found)):.1f} %)"
+
+    def exit_status(self) -> int:
+        """Return 0 if all permitted nodes pass, and the goals are met."""
+        goals = ((self.wire, WIRE_GOAL), (self.behaviour, BEHAVIOUR_GOAL))
+        enough = all(sum(bool(each.vector) for each in found) >= goal * len(found) for found, goal in goals)
+        return 0 if enough and not self.refused else 1
+
+
+#: The vectors that are tested, by profile: set before processes are forked, which share them.
+_TESTED: dict[str, Collection] = {}
+
+
+def _refused(task: tuple[str, int]) -> list[Refused]:
+    profile, place = task
+    name, config, make = family(profile)[place]
+    failed = ((each, failure(each, config, make)) for each in _TESTED[profile].tests)
+    return [Refused(name or "reference node", each.tc_id, why) for each, why in failed if why]
+
+
+def _killed(task: tuple[str, str]) -> Killed:
+    profile, name = task
+    mutant = all_mutants()[name]
+    return kill(profile, mutant, ordered(_TESTED[profile].tests, mutant))
+
+
+def detected_by(profile: str, found: Collection, jobs: int | None = None) -> list[Killed]:
+    """Return the outcome of vectors for each mutant of the node."""
+    _TESTED[profile] = found
+    mutants = [(profile, each.id) for each in mutants_of(profile)]
+    killed = dict(in_processes(_killed, mutants, jobs))
+    return [killed[place] for place in range(len(mutants))]
+
+
+def refusals(profile: str, found: Collection, jobs: int | None = None) -> list[Refused]:
+    """Return the vectors that permitted nodes fail."""
+    _TESTED[profile] = found
+    places = [(profile, place) for place in range(len(family(profile)))]
+    refused = dict(in_processes(_refused, places, jobs))
+    return [each for place in range(len(places)) for each in refused[place]]
+
+
+def campaign(profile: str, found: Collection, jobs: int | None = None) -> Result:
+    """Test the vectors of a profile."""
+    return Result(
+        profile=profile,
+        vectors=len(found.tests),
+        nodes=tuple(name or "reference node" for name, _, _ in family(profile)),
+        refused=tuple(refusals(profile, found, jobs)),
+        wire=tuple(Killed(each.change, each.vector, "") for each in outcomes(get_codec(profile))),
+        behaviour=tuple(detected_by(profile, found, jobs)),
+    )
+
+
+__all__ = [
+    "Killed",
+    "Refused",
+    "Result",
+    "campaign",
+    "detected_by",
+    "failure",
+    "kill",
+    "mutants_of",
+    "ordered",
+    "refusals",
+]

@@ -1,0 +1,119 @@
+"""Behaviour vectors: permitted nodes pass them, mutants do not, and every runner agrees."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from dcp_conformance.reference.inprocess import plain_node, reference_config
+from dcp_conformance.vectors.behaviour import Event, Expect, Vector, judged, load, matches
+from dcp_conformance.vectors.files import behaviour_digests, files
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.vectors.kills import failure, kill, ordered
+from dcp_selftest.vectors.making import family, vector
+from dcp_selftest.vectors.stimuli import recorded
+from dcp_spec.catalogue.requirements import requirement
+
+from dcp_codec import get_codec
+from dcp_codec.export.c.adapter import adapter_files
+from dcp_codec.export.c.files import codec_files
+
+ROOT = Path(__file__).parents[2]
+RUNNERS = ROOT / "examples" / "vectors"
+C_NODE = ROOT / "examples" / "c-node"
+FOUND = load("dcp-2.0")
+assert FOUND is not None
+VECTORS = {each.tc_id: each for each in FOUND.tests}
+
+
+def test_vectors_keep_their_meaning() -> None:
+    path = ROOT / "conformance" / "dcp_conformance" / "data" / "vector-digests.json"
+    listed = json.loads(path.read_text())["dcp-2.0"]["dcp-2.0/behaviour"]
+    kept = {listed[at : at + 6] for at in range(0, len(listed), 6)}
+    lost = kept - set(behaviour_digests(FOUND))
+    assert not lost, f"{len(lost)} behaviour vectors are gone or mean something else"
+    assert len(VECTORS) == len(FOUND.tests)
+
+
+def test_every_expectation_names_a_requirement() -> None:
+    named = set()
+    for each in FOUND.tests:
+        assert each.requirements, each.tc_id
+        named |= {name for name in each.requirements if "-" in name}
+        named |= {one.requirement for one in each.expect} | {one.requirement for one in each.steps if one.status}
+    for name in named:
+        assert requirement(name)
+
+
+def test_the_reference_node_passes_and_a_mutant_fails() -> None:
+    config = reference_config(get_codec("dcp-2.0"))
+    some = FOUND.tests[::40]
+    for each in some:
+        assert not failure(each, config, plain_node), each.tc_id
+    mutant = next(each for each in all_mutants().values() if each.requirement == "BP-HDR-01")
+    assert kill("dcp-2.0", mutant, ordered(some, mutant)).vector
+
+
+@pytest.mark.part("tools")
+def test_permitted_nodes_pass() -> None:
+    for number, (name, config, make) in enumerate(family("dcp-2.0")):
+        for each in FOUND.tests[number % 15 :: 15]:
+            assert not (why := failure(each, config, make)), f"{name} {each.tc_id}: {why}"
+
+
+@pytest.mark.part("tools")
+def test_vectors_are_made_again() -> None:
+    """The same steps give the same vector: nothing is drawn."""
+    codec = get_codec("dcp-2.0")
+    wanted = [each.rpartition("/")[2] for each in VECTORS][::60]
+    for case, stimuli in recorded(codec):
+        if case.id in wanted:
+            made = vector("dcp-2.0", case, stimuli)
+            assert msgspec.json.encode(made) == msgspec.json.encode(VECTORS[f"dcp-2.0/behaviour/{case.id}"]), case.id
+
+
+def test_judging() -> None:
+    expect = (Expect("record", 2, "01??", 100, 200, 1, 2, "VD-UPD-08"),)
+    one = Vector("x", "", (), ("BP-RX-01",), 300, (), expect)
+
+    def wrong(*times: int, octets: str = "0102") -> list[str]:
+        return list(judged(one, [Event(time, "record", 2, octets) for time in times]))
+
+    assert not wrong(100)
+    assert not wrong(150, 200)
+    assert "0 times" in wrong()[0]
+    assert "3 times" in wrong(110, 120, 130)[0]
+    assert "must not come" in wrong(99, 150)[0]
+    assert "must not come" in wrong(150, 201)[0]
+    assert "must not come" in wrong(150, octets="0202")[0]
+    assert matches("0?", "0a")
+    assert not matches("0?", "0a0b")
+
+
+@pytest.mark.tool("gcc")
+def test_the_node_in_c_passes(tmp_path: Path) -> None:
+    codec = get_codec("dcp-2.0")
+    for name, text in {**codec_files(codec), **adapter_files(codec)}.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "behaviour.txt").write_bytes(dict(files(["dcp-2.0"], ["behaviour"]))["dcp-2.0/behaviour.txt"])
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Wshadow", "-pedantic", "-Werror", "-O1", "-g"]
+    sources = [RUNNERS / "c" / "behaviour.c", C_NODE / "node.c", C_NODE / "upper_tester.c"]
+    command = ["gcc", *strict, "-fsanitize=address,undefined", "-I.", "-I", C_NODE, *sources]
+    subprocess.run([*command, "dcp_codec.c", "dcp_adapter.c", "-o", "behaviour"], cwd=tmp_path, check=True)
+    found = subprocess.run(["./behaviour", "behaviour.txt"], cwd=tmp_path, capture_output=True, text=True)
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+@pytest.mark.part("tools")
+def test_python_runner_passes(tmp_path: Path) -> None:
+    folder = tmp_path / "dcp-2.0"
+    folder.mkdir()
+    (folder / "behaviour.json").write_bytes(dict(files(["dcp-2.0"], ["behaviour"]))["dcp-2.0/behaviour.json"])
+    runner = RUNNERS / "python" / "test_behaviour.py"
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", runner]
+    found = subprocess.run(command, env={"DCP_VECTORS": str(folder)}, cwd=tmp_path, capture_output=True, text=True)
+    assert found.returncode == 0, found.stdout[-2000:]
