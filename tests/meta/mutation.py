@@ -109,7 +109,7 @@ def changes_of(path: Path) -> Iterator[Change]:
     for row in source.splitlines(keepends=True):
         offsets.append(offsets[-1] + len(row))
     for _, _, node in sites._candidates(tree):
-        for change in sites._changes(node):
+        for change in sites.changes(node):
             place, after = node, "pass"
             if isinstance(node, ast.If):
                 assert isinstance(change.replacement, ast.If)
