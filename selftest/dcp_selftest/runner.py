@@ -34,6 +34,7 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import Codec
 from dcp_codec.common.workers import Item, Result, WorkerLostError, completed
 
+from .costs import COUNTING
 from .mutants import ALL_MUTANTS, Mutant, all_mutants
 
 SCHEMA: Final = "dcp-conformance-selftest/1"
@@ -124,10 +125,6 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
         if self.had_errors:
             return 4
         return 1 if self.survivors or not all(each.good for each in self.baselines) else 0
-
-
-COUNTING: Final = frozenset({"TC_BP_HDR_TI_01", "TC_SRP_SEQ_TI_01"})
-"""Cases that wait for 65,536 beacons: two thirds of the processor time of a whole suite in virtual time."""
 
 
 @cache

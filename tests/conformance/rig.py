@@ -15,7 +15,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import UpperTester
-from dcp_selftest.runner import COUNTING
+from dcp_selftest.costs import COUNTING
 
 from dcp_codec import Codec
 

@@ -17,7 +17,7 @@ from dcp_selftest.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_selftest.generated.ledger import CLASSES, entries, ledger
 from dcp_selftest.generated.reach import Reach
 from dcp_selftest.generated.reports import _SHOWING, reports_of
-from dcp_selftest.generated.sites import Site, _candidates, _changes, cited, mutated, sites
+from dcp_selftest.generated.sites import Site, _candidates, changes, cited, mutated, sites
 from dcp_selftest.generated.table import section
 from dcp_selftest.generated.trial import NODES, Outcome, Step, _in_order, cases, measure, steps, try_site
 
@@ -86,7 +86,7 @@ def compute():
 def test_code_that_only_reports_or_displays_is_not_changed():
     tree = ast.parse(SOURCE)
     assert reports_of(tree).functions - _SHOWING == {"_drop", "_plain"}
-    changed = {(function, ast.unparse(node)) for function, _, node in _candidates(tree) if list(_changes(node))}
+    changed = {(function, ast.unparse(node)) for function, _, node in _candidates(tree) if list(changes(node))}
     names = {function for function, _ in changed}
     assert names == {"Receiver.handle", "_shared", "compute"}
     assert ("Receiver.handle", "self._emit(Received(octets, 2))") in changed

@@ -1,4 +1,4 @@
-"""The first five minutes of docs/vectors.md, with nothing but a C compiler."""
+"""The first five minutes of docs/vectors.md, with only a C compiler."""
 
 from __future__ import annotations
 

@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.model.case import Case
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import Case, all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.profile.definition import Profile
 from dcp_spec.profile.loading import load_profile
+
+from dcp_selftest.costs import COUNTING
 
 from .isolation import import_changed
 from .reach import Reach, Tracer, of_module
@@ -73,10 +76,7 @@ class Outcome(msgspec.Struct, frozen=True):
 @cache
 def cases() -> tuple[Case, ...]:
     """Return the cases in the order of a run. The number of a case is its index in this tuple."""
-    # After the change was installed.
-    from dcp_selftest.runner import cases as every
-
-    return every()
+    return tuple(each for each in ordered(all_cases().values()) if each.id not in COUNTING)
 
 
 class Step(NamedTuple):

