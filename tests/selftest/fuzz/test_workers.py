@@ -350,7 +350,7 @@ def test_a_campaign_by_workers_is_reported_like_any_other(tmp_path):
     options = ("--mutant", ALWAYS, "--artefacts", str(tmp_path), "--max-cases", "40")
     done = fuzz("stack", "--jobs", "2", *options, "--coverage")
     assert done.returncode == 1
-    assert "message x state of the variable" in done.stdout
+    assert "field x what was done to it" in done.stdout
     assert "known findings occurred again 39 times" in done.stdout
     assert "minimising it" in done.stderr
     assert fuzz("replay", str(tmp_path)).stdout.startswith("failed ")
