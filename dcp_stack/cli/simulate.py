@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dcp_codec.common.commandline import PROFILE_HELP, UNUSABLE, ExpectedError
+from dcp_codec.common.extras import advice
 
 from .common import Seconds
 
 if TYPE_CHECKING:
     from dcp_stack.sim.scenario.definition import Scenario
+    from dcp_stack.sim.virtual.player import Simulation
 
 NOT_MET = 1
 
@@ -138,8 +140,19 @@ def _settings(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ..
     metavar="FILE",
     help="Record each transmission once, as seen on the medium.",
 )
+@click.option(
+    "--values",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write a row for each value and each node at which it was due: .csv, or .parquet (extra 'table').",
+)
 def command(
-    scenario: str | None, as_json: bool, record: Path | None, record_medium: Path | None, **options: Any
+    scenario: str | None,
+    as_json: bool,
+    record: Path | None,
+    record_medium: Path | None,
+    values: Path | None,
+    **options: Any,
 ) -> int:
     """Run a SCENARIO (docs/scenarios.md) on a simulated medium, as fast as possible.
 
@@ -152,10 +165,14 @@ def command(
     from dcp_stack.sim.virtual.player import Simulation
 
     played = scenario_of(scenario, **options)
+    if values is not None and values.suffix not in (".csv", ".parquet"):
+        raise ExpectedError(f"--values {values}: the name of the file ends with .csv or .parquet")
     try:
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
         simulation = Simulation(played, record=record, record_medium=record_medium)
+        if values is not None:
+            simulation.measurements.values.keep_receptions()
     except ScenarioError as error:
         raise ExpectedError(f"{scenario or 'simulation'}: {error}") from None
     except LinkError as error:
@@ -164,6 +181,43 @@ def command(
         raise ExpectedError(f"{record}: {error.strerror}") from None
     report = simulation.run()
     click.echo(json.dumps(report.plain(), indent=2) if as_json else "\n".join(lines(report)))
+    if values is not None:
+        _write_values(simulation, values)
     if not simulation.recorded:
         return UNUSABLE
     return 0 if report.met else NOT_MET
+
+
+def _write_values(simulation: Simulation, path: Path) -> None:
+    """Write the receptions of all values. Raises :class:`ExpectedError` if the file cannot be written."""
+    from dcp_stack.sim.measuring.values import Reception
+
+    names = [*Reception._fields, "delay_ms"]
+    rows = (
+        {
+            **each._asdict(),
+            "born": each.born / 1e9,
+            "arrived": None if each.arrived is None else each.arrived / 1e9,
+            "delay_ms": None if each.arrived is None else (each.arrived - each.born) / 1e6,
+        }
+        for each in simulation.measurements.values.receptions()
+    )
+    try:
+        if path.suffix == ".csv":
+            import csv
+
+            with path.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(file, names)
+                writer.writeheader()
+                writer.writerows(rows)
+            return
+        import pyarrow as pa
+        import pyarrow.parquet
+
+        whole, real = pa.int64(), pa.float64()
+        schema = pa.schema([(name, real if name in ("born", "arrived", "delay_ms") else whole) for name in names])
+        pyarrow.parquet.write_table(pa.Table.from_pylist(list(rows), schema), path)
+    except ImportError as error:
+        raise ExpectedError(f"--values {path}: {advice(error.name or 'pyarrow')}") from None
+    except OSError as error:
+        raise ExpectedError(f"{path}: cannot be written: {error.strerror or error}") from None

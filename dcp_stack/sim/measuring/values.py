@@ -14,7 +14,7 @@ import statistics
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -51,7 +51,7 @@ class Series:
 class Value:
     """One value of a variable. ``number`` is 0 for the value of the creation, counts up and never wraps."""
 
-    __slots__ = ("born", "number", "octets", "reach", "received", "seqno", "series")
+    __slots__ = ("arrivals", "born", "number", "octets", "reach", "received", "seqno", "series")
 
     def __init__(self, series: Series, number: int, seqno: int, octets: bytes, born: int, reach: Reach | None) -> None:
         """``reach``: the nodes at which the value is counted; None to track it without counting."""
@@ -63,11 +63,32 @@ class Value:
         self.reach = reach
         self.received = 0
         """The nodes that stored it, as bits."""
+        self.arrivals: dict[int, int] | None = None
+        """The times at which counted nodes first stored it, if the log keeps them."""
 
     @property
     def kind(self) -> Kind:
         """``creation`` for the value of the creation, otherwise ``update``."""
         return "update" if self.number else "creation"
+
+
+class Reception(NamedTuple):
+    """One value at one node at which it was due."""
+
+    producer: int
+    variable: int
+    creation: int
+    """Number of the creation of the variable by this producer, from 0."""
+    number: int
+    """Number of the value since the creation, which is 0; it never wraps."""
+    seqno: int
+    born: int
+    """Time at which it was produced, ns."""
+    node: int
+    hops: int | None
+    """Shortest path when it was produced; None without a path."""
+    arrived: int | None
+    """Time at which the node first stored it, ns; None if it never did."""
 
 
 class DelayRow(msgspec.Struct, frozen=True):
@@ -149,6 +170,24 @@ class ValueLog:
         self._produced = self._wrapped = self._older = self._unidentified = 0
         self._wraps: Counter[int] = Counter()
         self._examples: list[str] = []
+        self._kept: list[Value] | None = None
+
+    def keep_receptions(self) -> None:
+        """Keep all values and their receptions for :meth:`receptions`. Call it before the first value."""
+        self._kept = []
+
+    def receptions(self) -> Iterator[Reception]:
+        """Yield a row for each counted value and each node at which it was due, in order of production."""
+        for value in self._kept or ():
+            series, reach, arrivals = value.series, value.reach, value.arrivals
+            assert reach is not None
+            assert arrivals is not None
+            for node in range(reach.mask.bit_length()):
+                if reach.mask >> node & 1:
+                    yield Reception(
+                        series.producer, series.var_id, series.ordinal, value.number, value.seqno, value.born, node,
+                        reach.hops.get(node), arrivals.get(node),
+                    )  # fmt: skip
 
     def held(self, node: int, var_id: int) -> Value | None:
         """Return the value of a variable at a node; None if the variable is unknown or deleted."""
@@ -191,6 +230,9 @@ class ValueLog:
             self._produced += 1
             for hops, count in reach.by_hops.items():
                 self._group(value.kind, hops).due += count
+            if self._kept is not None:
+                value.arrivals = {}
+                self._kept.append(value)
         self._hold(now, producer, value)
         return value
 
@@ -223,6 +265,8 @@ class ValueLog:
         bit = 1 << node
         if value.reach is not None and value.reach.mask & bit and not value.received & bit:
             value.received |= bit
+            if value.arrivals is not None:
+                value.arrivals[node] = now
             self._group(value.kind, value.reach.hops.get(node, UNREACHABLE)).delays.append(now - value.born)
         return value
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +45,47 @@ def test_json_and_the_same_digest_for_the_same_seed(run):
     assert first["met"] is True
     assert first["speed_up"] > 0
     assert [each["node"] for each in first["traffic"]] == list(range(9))
+
+
+def test_the_rows_of_values_are_those_of_the_report(run, tmp_path):
+    path = tmp_path / "values.csv"
+    arguments = ("simulate", "-n", 4, "--topology", "line", "--duration", 20, "--loss", 0.3, "--json")
+    status, output, errors = run(*arguments, "--values", path)
+    assert (status, errors) == (0, "")
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    values = json.loads(output)["values"]
+    assert len(rows) == values["due"]
+    arrived = [each for each in rows if each["arrived"]]
+    assert len(arrived) == values["received"]
+    for delay in json.loads(output)["delays"]:
+        kind = [
+            each
+            for each in arrived
+            if each["hops"] == str(delay["hops"]) and (each["number"] == "0") == (delay["kind"] == "creation")
+        ]
+        assert len(kind) == delay["received"]
+        assert statistics.fmean(float(each["delay_ms"]) for each in kind) == pytest.approx(delay["mean_ms"])
+    assert json.loads(run(*arguments)[1])["digest"] == json.loads(output)["digest"]
+
+
+@pytest.mark.part("tables")
+def test_the_query_of_the_page_gives_the_mean_age(run, tmp_path, monkeypatch):
+    """A value every 5 s that arrives after a delay D has a mean age of 2.5 s + D."""
+    duckdb = pytest.importorskip("duckdb")
+    monkeypatch.chdir(tmp_path)
+    assert run("simulate", "-n", 3, "--topology", "line", "--duration", 400, "--values", "values.parquet")[0] == 0
+    page = (LINE.parents[1] / "docs" / "scenarios.md").read_text()
+    query = page.partition("```sql\n")[2].partition("```")[0]
+    mean = "select hops, avg(delay_ms) / 1000 from 'values.parquet' where number > 0 group by hops order by hops"
+    for (hops, age), (same, delay) in zip(duckdb.sql(query).fetchall(), duckdb.sql(mean).fetchall(), strict=True):
+        assert hops == same
+        assert age == pytest.approx(2.5 + delay, abs=0.05)
+
+
+def test_a_file_of_values_is_csv_or_parquet(run, tmp_path):
+    status, _, errors = run("simulate", "-n", 2, "--values", tmp_path / "values.txt")
+    assert status == 2
+    assert "ends with .csv or .parquet" in errors
 
 
 def test_the_counts_of_delivered_and_lost_beacons_add_up(run):
