@@ -114,6 +114,8 @@ class DelayRow(msgspec.Struct, frozen=True):
     p95_ms: float | None = None
     """The smallest delay that 95 % of the receptions do not exceed."""
     max_ms: float | None = None
+    node: int | None = None
+    """The node of a row about one node; None for all nodes of this distance."""
 
 
 class ValueTotals(msgspec.Struct, frozen=True):
@@ -171,6 +173,12 @@ class ValueLog:
         self._wraps: Counter[int] = Counter()
         self._examples: list[str] = []
         self._kept: list[Value] | None = None
+        self._nodes: dict[tuple[Kind, int, int], _Group] | None = None
+        """By kind, distance and node, if they are counted by node."""
+
+    def count_by_node(self) -> None:
+        """Count by node as well, for :meth:`node_rows`. Call it before the first value."""
+        self._nodes = {}
 
     def keep_receptions(self) -> None:
         """Keep all values and their receptions for :meth:`receptions`. Call it before the first value."""
@@ -182,12 +190,11 @@ class ValueLog:
             series, reach, arrivals = value.series, value.reach, value.arrivals
             assert reach is not None
             assert arrivals is not None
-            for node in range(reach.mask.bit_length()):
-                if reach.mask >> node & 1:
-                    yield Reception(
-                        series.producer, series.var_id, series.ordinal, value.number, value.seqno, value.born, node,
-                        reach.hops.get(node), arrivals.get(node),
-                    )  # fmt: skip
+            for node in _bits(reach.mask):
+                yield Reception(
+                    series.producer, series.var_id, series.ordinal, value.number, value.seqno, value.born, node,
+                    reach.hops.get(node), arrivals.get(node),
+                )  # fmt: skip
 
     def held(self, node: int, var_id: int) -> Value | None:
         """Return the value of a variable at a node; None if the variable is unknown or deleted."""
@@ -230,6 +237,9 @@ class ValueLog:
             self._produced += 1
             for hops, count in reach.by_hops.items():
                 self._group(value.kind, hops).due += count
+            if self._nodes is not None:
+                for node in _bits(reach.mask):
+                    self._node_group(value.kind, reach.hops.get(node, UNREACHABLE), node).due += 1
             if self._kept is not None:
                 value.arrivals = {}
                 self._kept.append(value)
@@ -267,7 +277,10 @@ class ValueLog:
             value.received |= bit
             if value.arrivals is not None:
                 value.arrivals[node] = now
-            self._group(value.kind, value.reach.hops.get(node, UNREACHABLE)).delays.append(now - value.born)
+            hops = value.reach.hops.get(node, UNREACHABLE)
+            self._group(value.kind, hops).delays.append(now - value.born)
+            if self._nodes is not None:
+                self._node_group(value.kind, hops, node).delays.append(now - value.born)
         return value
 
     def lost(self, node: int, var_id: int) -> None:
@@ -284,6 +297,14 @@ class ValueLog:
         """Return delays and shares: creations before updates, each by distance, nodes without a path last."""
         order = sorted(self._groups, key=lambda key: (key[0], key[1] == UNREACHABLE, key[1]))
         return [_row(kind, hops, self._groups[kind, hops]) for kind, hops in order]
+
+    def node_rows(self) -> list[DelayRow]:
+        """Return the same for each node; none without :meth:`count_by_node`."""
+        found = self._nodes or {}
+        order = sorted(found, key=lambda key: (key[0], key[1] == UNREACHABLE, key[1:]))
+        return [
+            msgspec.structs.replace(_row(kind, hops, found[kind, hops, node]), node=node) for kind, hops, node in order
+        ]
 
     def totals(self) -> ValueTotals:
         """Return the totals, with notes that restrict the meaning of the delays."""
@@ -332,6 +353,10 @@ class ValueLog:
         if group is None:
             group = self._groups[kind, hops] = _Group()
         return group
+
+    def _node_group(self, kind: Kind, hops: int, node: int) -> _Group:
+        assert self._nodes is not None
+        return self._nodes.setdefault((kind, hops, node), _Group())
 
     def _identify(
         self,
@@ -394,6 +419,11 @@ class ValueLog:
         first = max(first, len(history.times) - LONGEST_HISTORY, 0)
         del history.times[:first], history.values[:first]
         self._tidy_at[node, var_id] = max(_TIDY_FROM, 2 * len(history.times))
+
+
+def _bits(mask: int) -> Iterator[int]:
+    """Yield the numbers of the bits that are set."""
+    return (number for number in range(mask.bit_length()) if mask >> number & 1)
 
 
 def _row(kind: Kind, hops: int, group: _Group) -> DelayRow:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from dcp_stack.sim.measuring import DelayRow
-from dcp_stack.sim.virtual.player import simulate
+from dcp_stack.sim.virtual.player import Simulation
 
 from .plan import Run, Study
 
@@ -38,12 +38,16 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     octets: int
     beacons: int
     delays: list[DelayRow]
+    nodes: list[DelayRow] = []
+    """The same for each node; empty in files of earlier versions."""
     cpu_s: float
 
 
 def outcome(run: Run) -> Outcome:
     """Execute a run."""
-    report = simulate(run.scenario)
+    simulation = Simulation(run.scenario)
+    simulation.measurements.values.count_by_node()
+    report = simulation.run()
     seconds = sum(each.seconds for each in report.consistency)
     newest = sum(each.newest_share * each.seconds for each in report.consistency) / seconds if seconds else None
     return Outcome(
@@ -56,6 +60,7 @@ def outcome(run: Run) -> Outcome:
         octets=sum(each.octets_sent for each in report.traffic),
         beacons=sum(each.beacons_sent for each in report.traffic),
         delays=report.delays,
+        nodes=simulation.measurements.values.node_rows(),
         cpu_s=report.cpu_s,
     )
 
@@ -73,11 +78,11 @@ def stored(path: Path) -> dict[str, Outcome]:
 
 
 def rows(study: Study, outcomes: Iterable[Outcome]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each run, kind of value and distance."""
+    """Yield a row for each run, kind of value and distance, and for each node at this distance."""
     for each in outcomes:
         run = {**study.cells[each.cell], "seed": each.seed}
         about = {name: getattr(each, name) for name in ("met", "newest", "octets", "beacons", "digest")}
-        for delay in each.delays:
+        for delay in (*each.delays, *each.nodes):
             yield {**run, **msgspec.to_builtins(delay), **about}
 
 

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import statistics
+from operator import itemgetter
 
 import pytest
 
@@ -70,6 +71,14 @@ def test_a_study_is_resumed_and_verified(run, study, tmp_path):
     names = ["bundle.json", "plot.svg", "runs.csv", "runs.jsonl", "runs.parquet", "table.csv"]
     assert sorted(each.name for each in out.iterdir()) == names
     first = {name: (out / name).read_bytes() for name in ("table.csv", "runs.csv", "bundle.json", "plot.svg")}
+    # The rows of nodes add up to those of their distance.
+    rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
+    whole, nodes = ([each for each in rows if (each["node"] == "") is one] for one in (True, False))
+    key = itemgetter("link.loss", "events.*.repetitions", "seed", "kind", "hops")
+    for row in whole:
+        parts = [each for each in nodes if key(each) == key(row)]
+        assert sum(int(each["received"]) for each in parts) == int(row["received"]) > 0
+        assert sum(int(each["due"]) for each in parts) == int(row["due"])
     # An incomplete last line, as after a loss of power.
     lines = (out / "runs.jsonl").read_bytes().splitlines(keepends=True)
     (out / "runs.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:50])
