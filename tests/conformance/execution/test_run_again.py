@@ -101,7 +101,7 @@ def test_a_case_that_fails_with_its_pics(tmp_path: Path):
 @pytest.mark.part("tools")
 def test_a_finding_of_the_fuzzer_as_a_case(tmp_path: Path):
     folder = "finds of 'Monday'"
-    mutant = "M-VD-RC-03-consumer-silent"
+    mutant = "M-BP-RX-15-dies"
     words = ["dcp-selftest", "fuzz", "stack", "--mutant", mutant, "--max-cases", "400", "--artefacts", folder, "-q"]
     status, _ = run(words, tmp_path)
     found = sorted((tmp_path / folder).glob("*.json"))
