@@ -243,6 +243,7 @@ def test_frames_wait_for_a_beacon_unless_a_client_listens(listening):
     thread = threading.Thread(target=talk)
     driver.run(thread.start)
     thread.join()
-    # Half a second has five beacons.
-    assert link.asked >= 25 if listening else link.asked <= 12
+    # Half a second has five beacons; on a busy machine it lasts longer.
+    periods = (time.monotonic_ns() - now) / 100_000_000
+    assert link.asked >= 25 if listening else link.asked <= 2 * periods + 2
     assert link.frames >= (40 if listening else 25)
