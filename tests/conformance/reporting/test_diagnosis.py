@@ -205,10 +205,6 @@ def test_cases_with_other_observations_do_not_describe_the_implementation() -> N
 
 
 #: A node with one of these does not answer any more, which is all that its failed cases show.
-#: The signatures of faults that are older than the last cases lack these cases.
-STALE = pytest.mark.xfail(
-    strict=False, reason="run: dcp-selftest dictionary FILE, for all faults (about 30 minutes of processor time)"
-)
 SILENT = {
     "M-BP-TX-04-hangs",
     "M-BP-MGT-05-no-resume",
@@ -278,7 +274,7 @@ def test_the_dictionary_has_all_mutants_and_known_cases_only() -> None:
 @pytest.mark.parametrize(
     "mutant",
     [
-        pytest.param("M-BP-HDR-03-reversed", marks=STALE),
+        "M-BP-HDR-03-reversed",
         "M-BP-TX-01-slow",
         "M-SRP-SEQ-01-eight-bits",
         "M-SRP-NT-03-own",
@@ -307,8 +303,8 @@ def test_faults_left_out_of_the_dictionary_are_counted_once() -> None:
 @pytest.mark.parametrize(
     "group",
     [
-        pytest.param(("M-BP-QM-01-drops-head", "M-VD-RU-03-equal-answered"), marks=STALE),
-        pytest.param(("M-VD-CMP-06-one-more", "M-SRP-RX-03-first-stays"), marks=STALE),
+        ("M-BP-QM-01-drops-head", "M-VD-RU-03-equal-answered"),
+        ("M-VD-CMP-06-one-more", "M-SRP-RX-03-first-stays"),
     ],
 )
 def test_two_faults_in_one_node_are_both_named(group: tuple[str, str]) -> None:
