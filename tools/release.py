@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from dcp_conformance.vectors.files import files
@@ -53,10 +53,10 @@ def files_below(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def c_files() -> dict[str, bytes]:
+def c_files(profiles: Sequence[str] = PROFILES) -> dict[str, bytes]:
     """Return the generated C: a folder for each profile, and the example node with that of 2.0."""
     found = {"LICENSE": (ROOT / "LICENSE").read_bytes(), "README.md": (ROOT / "docs" / "c.md").read_bytes()}
-    for name in PROFILES:
+    for name in profiles:
         codec = get_codec(name)
         made = {**codec_files(codec), **adapter_files(codec)}
         found |= {f"{name}/{file}": text.encode() for file, text in made.items()}
@@ -66,9 +66,9 @@ def c_files() -> dict[str, bytes]:
     return found | {f"c-node/{Path(each).name}": (ROOT / each).read_bytes() for each in tracked}
 
 
-def vector_files() -> dict[str, bytes]:
-    """Return the test vectors of all profiles, and the runners."""
-    found = {"LICENSE": (ROOT / "LICENSE").read_bytes(), **dict(files(profile_names()))}
+def vector_files(profiles: Sequence[str] | None = None) -> dict[str, bytes]:
+    """Return the test vectors of some profiles, by default of all, and the runners."""
+    found = {"LICENSE": (ROOT / "LICENSE").read_bytes(), **dict(files(profiles or profile_names()))}
     tracked = _output("git", "ls-files", RUNNERS.relative_to(ROOT).as_posix()).split()
     runners = {str(Path(each).relative_to(RUNNERS.relative_to(ROOT))): (ROOT / each).read_bytes() for each in tracked}
     return found | {f"runners/{name}": octets for name, octets in runners.items()}

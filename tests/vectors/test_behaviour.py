@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -94,18 +96,50 @@ def test_judging() -> None:
     assert not matches("0?", "0a0b")
 
 
-@pytest.mark.tool("gcc")
-def test_the_node_in_c_passes(tmp_path: Path) -> None:
+def written(folder: Path) -> Path:
+    """Codec, adapter and vectors of 2.0 in a folder, with the example node."""
     codec = get_codec("dcp-2.0")
     for name, text in {**codec_files(codec), **adapter_files(codec)}.items():
-        (tmp_path / name).write_text(text)
-    (tmp_path / "behaviour.txt").write_bytes(dict(files(["dcp-2.0"], ["behaviour"]))["dcp-2.0/behaviour.txt"])
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Wshadow", "-pedantic", "-Werror", "-O1", "-g"]
-    sources = [RUNNERS / "c" / "behaviour.c", C_NODE / "node.c", C_NODE / "upper_tester.c"]
-    command = ["gcc", *strict, "-fsanitize=address,undefined", "-I.", "-I", C_NODE, *sources]
-    subprocess.run([*command, "dcp_codec.c", "dcp_adapter.c", "-o", "behaviour"], cwd=tmp_path, check=True)
+        (folder / name).write_text(text)
+    (folder / "behaviour.txt").write_bytes(dict(files(["dcp-2.0"], ["behaviour"]))["dcp-2.0/behaviour.txt"])
+    for name in ("node.c", "node.h", "upper_tester.c", "upper_tester.h"):
+        shutil.copy(C_NODE / name, folder)
+    return folder
+
+
+SOURCES = ("node.c", "upper_tester.c", "dcp_codec.c", "dcp_adapter.c")
+RUNNER = tuple(RUNNERS / "c" / "behaviour" / name for name in ("vector.c", "sut.c", "main.c"))
+
+
+@pytest.mark.tool("gcc")
+def test_the_node_in_c_passes_and_a_wrong_one_fails(tmp_path: Path) -> None:
+    written(tmp_path)
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-g"]
+    command = ["gcc", *strict, "-I.", *RUNNER, *SOURCES, "-o", "behaviour"]
+    subprocess.run([*command, "-O1", "-fsanitize=address,undefined"], cwd=tmp_path, check=True)
     found = subprocess.run(["./behaviour", "behaviour.txt"], cwd=tmp_path, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout + found.stderr
+    assert found.stdout == f"{len(VECTORS)} vectors, 0 failed\n"
+    source = (tmp_path / "node.c").read_text()
+    (body,) = re.findall(r"static bool newer\(.*?\n\{\n(.*?)\n\}", source, re.DOTALL)
+    (tmp_path / "node.c").write_text(source.replace(body, "    return one > other;"))
+    subprocess.run(command, cwd=tmp_path, check=True)
+    found = subprocess.run(["./behaviour", "behaviour.txt"], cwd=tmp_path, capture_output=True, text=True)
+    assert found.returncode == 1
+    assert "FAIL dcp-2.0/behaviour/" in found.stdout
+
+
+@pytest.mark.tool("g++")
+@pytest.mark.skipif(not Path("/usr/include/gtest").is_dir(), reason="needs libgtest-dev")
+def test_the_node_in_c_passes_in_googletest(tmp_path: Path) -> None:
+    written(tmp_path)
+    subprocess.run(["gcc", "-c", "-I.", *RUNNER[:2], *SOURCES], cwd=tmp_path, check=True)
+    command = ["g++", "-std=c++17", "-I", RUNNERS / "c" / "behaviour", RUNNERS / "cpp" / "behaviour_test.cpp"]
+    objects = [path.name for path in tmp_path.glob("*.o")]
+    subprocess.run([*command, *objects, "-lgtest", "-lgtest_main", "-o", "tests"], cwd=tmp_path, check=True)
+    found = subprocess.run(["./tests"], cwd=tmp_path, capture_output=True, text=True)
+    assert found.returncode == 0, found.stdout[-2000:]
+    assert f"[  PASSED  ] {len(VECTORS)} tests." in found.stdout
 
 
 @pytest.mark.part("tools")

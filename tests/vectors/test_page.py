@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "vectors.md"
 def test_the_first_five_minutes(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8").partition("## Runners")[0]
     (version,) = set(re.findall(r"dcp-vectors-([\d.]+)\.tar", text))
-    for name, content in (("vectors", vector_files()), ("c", c_files())):
+    for name, content in (("vectors", vector_files(["dcp-2.0"])), ("c", c_files(["dcp-2.0"]))):
         top = f"dcp-{name}-{version}"
         archive(tmp_path / f"{top}.tar.gz", top, content, 0)
     blocks = re.findall(r"```(c?)\n(.*?)```", text, re.DOTALL)

@@ -21,6 +21,7 @@ from dcp_conformance.vectors.behaviour import Collection, Event, Expect, Setting
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec, get_codec
+from dcp_codec.export.example import example_beacon
 from dcp_selftest.runner import in_processes
 from dcp_selftest.variants.variant import all_variants
 from dcp_stack.config import NodeConfig
@@ -180,8 +181,8 @@ def _lists(method: str) -> Iterator[tuple[str, str]]:
 
 def _expected(codec: Codec, steps: Sequence[Step], end: int, found: Sequence[Trace]) -> Iterator[Expect]:
     """Yield the expectations about events: each interval has all occurrences in all traces."""
-    own = _own_creation(codec)
-    counted = [_by_key(each.events, own) for each in found]
+    own, created = reference_config(codec).node_id.hex(), _creation(codec)
+    counted = [_by_key(each.events, own, created) for each in found]
     keys = dict.fromkeys(key for each in counted for key in each)
     for key in keys:
         kind, number, octets = key
@@ -213,19 +214,31 @@ def _cut(steps: Sequence[Step], before: int, end: int) -> bool:
     return before == end or any(last - _NEXT <= at <= last + _NEXT for at in stimuli)
 
 
-def _by_key(events: Sequence[Event], own: str) -> dict[tuple[str, int, str], list[float]]:
+def _by_key(
+    events: Sequence[Event], own: str, created: tuple[slice, slice] | None
+) -> dict[tuple[str, int, str], list[float]]:
     found: dict[tuple[str, int, str], list[float]] = {}
     for each in events:
         octets = each.octets
-        if each.kind == "record" and each.number == ICType.CREATE_VARIABLES and octets[2 : 2 + len(own)] == own:
-            # varId, prodId, repCnt, then the time at which this node created it, by a clock of its own.
-            octets = octets[:16] + "?" * 16 + octets[32:]
+        if created is not None and each.kind == "record" and each.number == ICType.CREATE_VARIABLES:
+            producer, time = created
+            if octets[producer] == own:
+                # The time at which this node created it, by a clock of its own.
+                octets = octets[: time.start] + "?" * (time.stop - time.start) + octets[time.stop :]
         found.setdefault((each.kind, each.number, octets), []).append(each.time)
     return found
 
 
-def _own_creation(codec: Codec) -> str:
-    return reference_config(codec).node_id.hex()
+def _creation(codec: Codec) -> tuple[slice, slice] | None:
+    """Return where producer and creation time are among the hex digits of a creation; None before 2.0."""
+    root = codec.dissect(codec.encode(example_beacon(codec))).root
+    spec = next(each for each in root.walk() if any(one.name == "repCnt" for one in each.children))
+    found = [
+        slice(2 * (each.offset - spec.offset), 2 * (each.offset - spec.offset + each.length))
+        for name in ("prodId", "creationTime")
+        if (each := spec.child(name)) is not None
+    ]
+    return (found[0], found[1]) if len(found) == 2 else None
 
 
 # -- all --------------------------------------------------------------------------------------------------------
