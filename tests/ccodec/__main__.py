@@ -1,6 +1,7 @@
 """Compare the generated C codec with the Python codec on recordings and mutated frames.
 
-    python -m tests.ccodec [--frames N] [--seed N] [--profile NAME]... [--plain] [--captures FOLDER]...
+    python -m tests.ccodec [--frames N] [--seed N] [--profile NAME]... [--compiler NAME] [--plain]
+                           [--captures FOLDER]...
 
 Every frame of the recordings goes to the codec of every profile; then N mutated frames are divided among the profiles.
 Without --plain the C program is built with AddressSanitizer and UndefinedBehaviorSanitizer. Status 1: they differ.
@@ -55,11 +56,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the mutations [%(default)s]")
     parser.add_argument("--profile", action="append", choices=[*profile_names(), *ODD_PROFILES], help="only this one")
     parser.add_argument("--captures", action="append", type=Path, help="folder with recordings [captures]")
+    parser.add_argument("--compiler", default="gcc", help="with --plain any, else one with sanitizers [%(default)s]")
     parser.add_argument("--plain", action="store_true", help="build with -O2 and without sanitizers")
     options = parser.parse_args()
-    compiler = shutil.which("clang") or shutil.which("gcc")
+    compiler = shutil.which(options.compiler)
     if compiler is None:
-        parser.error("needs clang or gcc")
+        parser.error(f"{options.compiler} is not on PATH: --compiler NAME")
     names = options.profile or [*profile_names(), *ODD_PROFILES]
     frames = list(recorded(options.captures or [CAPTURES]))
     print(f"{len(frames)} distinct recorded octet strings, {compiler}", flush=True)

@@ -12,10 +12,10 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.reference.inprocess import plain_node, reference_config
-from dcp_conformance.vectors.behaviour import Event, Expect, Vector, judged, load, matches
+from dcp_conformance.vectors.behaviour import Event, Expect, Vector, judged, load, matches, profiles
 from dcp_conformance.vectors.files import behaviour_digests, files
 from dcp_selftest.mutants import all_mutants
-from dcp_selftest.vectors.kills import failure, kill, ordered
+from dcp_selftest.vectors.kills import Killed, Refused, Result, Results, failure, kill, ordered
 from dcp_selftest.vectors.making import family, vector
 from dcp_selftest.vectors.stimuli import recorded
 from dcp_spec.catalogue.requirements import requirement
@@ -27,28 +27,32 @@ from dcp_codec.export.c.files import codec_files
 ROOT = Path(__file__).parents[2]
 RUNNERS = ROOT / "examples" / "vectors"
 C_NODE = ROOT / "examples" / "c-node"
-FOUND = load("dcp-2.0")
-assert FOUND is not None
+ALL = {name: found for name in profiles() if (found := load(name)) is not None}
+FOUND = ALL["dcp-2.0"]
 VECTORS = {each.tc_id: each for each in FOUND.tests}
 
 
 def test_vectors_keep_their_meaning() -> None:
     path = ROOT / "conformance" / "dcp_conformance" / "data" / "vector-digests.json"
-    listed = json.loads(path.read_text())["dcp-2.0"]["dcp-2.0/behaviour"]
-    kept = {listed[at : at + 6] for at in range(0, len(listed), 6)}
-    lost = kept - set(behaviour_digests(FOUND))
-    assert not lost, f"{len(lost)} behaviour vectors are gone or mean something else"
-    assert len(VECTORS) == len(FOUND.tests)
+    digests = json.loads(path.read_text())
+    for profile, found in ALL.items():
+        listed = digests[profile][f"{profile}/behaviour"]
+        kept = {listed[at : at + 6] for at in range(0, len(listed), 6)}
+        lost = kept - set(behaviour_digests(found))
+        assert not lost, f"{profile}: {len(lost)} behaviour vectors are gone or mean something else"
+        assert len({each.tc_id for each in found.tests}) == len(found.tests)
 
 
-def test_every_expectation_names_a_requirement() -> None:
-    named = set()
-    for each in FOUND.tests:
-        assert each.requirements, each.tc_id
-        named |= {name for name in each.requirements if "-" in name}
-        named |= {one.requirement for one in each.expect} | {one.requirement for one in each.steps if one.status}
-    for name in named:
-        assert requirement(name)
+def test_every_expectation_names_a_requirement_of_the_version() -> None:
+    for profile, found in ALL.items():
+        named = set()
+        for each in found.tests:
+            assert each.requirements, each.tc_id
+            named |= {name for name in each.requirements if "-" in name}
+            named |= {one.requirement for one in each.expect} | {one.requirement for one in each.steps if one.status}
+        version = get_codec(profile).profile.spec_version
+        wrong = {name for name in named if not requirement(name).holds_in(version)}
+        assert not wrong, f"{profile}: {sorted(wrong)}"
 
 
 def test_the_reference_node_passes_and_a_mutant_fails() -> None:
@@ -62,9 +66,10 @@ def test_the_reference_node_passes_and_a_mutant_fails() -> None:
 
 @pytest.mark.part("tools")
 def test_permitted_nodes_pass() -> None:
-    for number, (name, config, make) in enumerate(family("dcp-2.0")):
-        for each in FOUND.tests[number % 15 :: 15]:
-            assert not (why := failure(each, config, make)), f"{name} {each.tc_id}: {why}"
+    for profile, found in ALL.items():
+        for number, (name, config, make) in enumerate(family(profile)):
+            for each in found.tests[number % 60 :: 60]:
+                assert not (why := failure(each, config, make)), f"{name} {each.tc_id}: {why}"
 
 
 @pytest.mark.part("tools")
@@ -76,6 +81,31 @@ def test_the_same_steps_give_the_same_vector() -> None:
             made = vector("dcp-2.0", case, stimuli)
             assert made is not None
             assert msgspec.json.encode(made) == msgspec.json.encode(vector("dcp-2.0", case, stimuli)), case.id
+
+
+def test_figures() -> None:
+    killed, survivor = Killed("M-1", "dcp-2.0/wire/x", ""), Killed("M-2", "", "")
+    good = Result(
+        profile="dcp-2.0",
+        vectors=3,
+        nodes=("reference node",),
+        refused=(),
+        wire=(killed,),
+        behaviour=(killed, survivor),
+    )
+    assert good.exit_status() == 1
+    assert list(good.summary())[2] == "dcp-2.0: behaviour mutants: 1 of 2 (50.0 %) detected"
+    text = Results((good, msgspec.structs.replace(good, profile="dcp-1.3"))).section()
+    assert "| dcp-1.3 | 3 | 1 | 0 | 1 of 1 (100.0 %) | 1 of 2 (50.0 %) |" in text
+    assert "| `M-2` | dcp-2.0, dcp-1.3 |" in text
+    refused = Refused("reference node", "dcp-2.0/behaviour/x", "")
+    for wire, behaviour, nodes, status in (
+        ((killed,), (killed,), (), 0),
+        ((killed,), (killed,), (refused,), 1),
+        ((survivor,), (killed,), (), 1),
+    ):
+        result = msgspec.structs.replace(good, wire=wire, behaviour=behaviour, refused=nodes)
+        assert result.exit_status() == status
 
 
 def test_judging() -> None:

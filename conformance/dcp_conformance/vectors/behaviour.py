@@ -8,6 +8,7 @@ vector does not list, of the kinds of :class:`Event`, must not come.
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final, NamedTuple
@@ -109,6 +110,13 @@ def load(profile: str) -> Collection | None:
     """Return the behaviour vectors of a profile; None if there are none."""
     path = resources.files("dcp_conformance").joinpath("data", f"behaviour-{profile}.json.gz")
     return msgspec.json.decode(gzip.decompress(path.read_bytes()), type=Collection) if path.is_file() else None
+
+
+def profiles() -> list[str]:
+    """Return the names of the profiles that have behaviour vectors, the newest version first."""
+    names = (path.name for path in resources.files("dcp_conformance").joinpath("data").iterdir())
+    found = [re.fullmatch(r"behaviour-(.+)\.json\.gz", name) for name in names]
+    return sorted((each[1] for each in found if each is not None), reverse=True)
 
 
 # -- what came ---------------------------------------------------------------------------------------------------------
@@ -249,4 +257,5 @@ __all__ = [
     "lines",
     "load",
     "matches",
+    "profiles",
 ]

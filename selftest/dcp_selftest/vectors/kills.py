@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 from dcp_conformance.reference.inprocess import MakeNode, reference_config
 from dcp_conformance.vectors.behaviour import Collection, Vector
+from dcp_spec.markdown import table
 
 from dcp_codec.codec import get_codec
 from dcp_selftest.mutants import Mutant, all_mutants
@@ -18,6 +19,9 @@ from .making import family
 from .replay import failures, trace
 from .wire_kills import outcomes
 
+_COLUMNS: Final = (
+    "profile", "behaviour vectors", "permitted nodes", "refusals", "wire mutants", "behaviour mutants",
+)  # fmt: skip
 #: Shares of the mutants that the vectors must detect.
 WIRE_GOAL: Final = 0.8
 BEHAVIOUR_GOAL: Final = 0.6
@@ -68,7 +72,7 @@ class Refused(msgspec.Struct, frozen=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """The content of ``vectors.json``."""
+    """The outcome for the vectors of one profile."""
 
     profile: str
     vectors: int
@@ -80,16 +84,60 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
     def summary(self) -> Iterator[str]:
         """Yield the numbers as lines."""
-        yield f"{self.vectors} behaviour vectors, {len(self.nodes)} permitted nodes, {len(self.refused)} refusals"
-        for name, found in (("wire", self.wire), ("behaviour", self.behaviour)):
-            killed = sum(bool(each.vector) for each in found)
-            yield f"{name} mutants: {killed} of {len(found)} detected ({100 * killed / max(1, len(found)):.1f} %)"
+        yield (
+            f"{self.profile}: {self.vectors} behaviour vectors, {len(self.nodes)} permitted nodes, "
+            f"{len(self.refused)} refusals"
+        )
+        yield f"{self.profile}: wire mutants: {share(self.wire)} detected"
+        yield f"{self.profile}: behaviour mutants: {share(self.behaviour)} detected"
 
     def exit_status(self) -> int:
         """Return 0 if all permitted nodes pass, and the goals are met."""
         goals = ((self.wire, WIRE_GOAL), (self.behaviour, BEHAVIOUR_GOAL))
         enough = all(sum(bool(each.vector) for each in found) >= goal * len(found) for found, goal in goals)
         return 0 if enough and not self.refused else 1
+
+
+class Results(msgspec.Struct, frozen=True):
+    """The content of ``vectors.json``."""
+
+    profiles: tuple[Result, ...]
+
+    def section(self) -> str:
+        """Return the section ``vectors`` of docs/selftest.md."""
+        rows = [
+            (each.profile, each.vectors, len(each.nodes), len(each.refused), share(each.wire), share(each.behaviour))
+            for each in self.profiles
+        ]
+        survivors: dict[str, list[str]] = {}
+        for result in self.profiles:
+            for each in result.behaviour:
+                if not each.vector:
+                    survivors.setdefault(each.mutant, []).append(result.profile)
+        lines = [
+            "## Test vectors",
+            "",
+            "Made by `dcp-selftest vectors --document docs/selftest.md`.",
+            "",
+            "Permitted nodes replay the behaviour vectors of their profile and must pass. A mutant is detected if it",
+            "fails a vector. Wire mutants are all single changes of the generated decoder and encoder that octets can",
+            "show, behaviour mutants the mutants of the node that are faults in the version.",
+            "",
+            table(_COLUMNS, rows, "lrrrrr"),
+            "",
+            "Behaviour mutants that no vector detects:",
+            "",
+            table(
+                ("mutant", "profiles"), ((f"`{name}`", ", ".join(found)) for name, found in sorted(survivors.items()))
+            ),
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def share(found: Sequence[Killed]) -> str:
+    """Return the number of mutants that are detected, of how many."""
+    killed = sum(bool(each.vector) for each in found)
+    return f"{killed} of {len(found)} ({100 * killed / max(1, len(found)):.1f} %)"
 
 
 #: The vectors that are tested, by profile: set before processes are forked, which share them.
@@ -141,6 +189,7 @@ __all__ = [
     "Killed",
     "Refused",
     "Result",
+    "Results",
     "campaign",
     "detected_by",
     "failure",
@@ -148,4 +197,5 @@ __all__ = [
     "mutants_of",
     "ordered",
     "refusals",
+    "share",
 ]

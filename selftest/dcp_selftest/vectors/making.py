@@ -18,6 +18,7 @@ from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node,
 from dcp_conformance.reference.surroundings import UpperTesting, same_clock
 from dcp_conformance.upper_tester import Answer
 from dcp_conformance.vectors.behaviour import Collection, Event, Expect, Settings, Step, Vector, flat
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec, get_codec
@@ -135,13 +136,21 @@ def vector(profile: str, case: Case, stimuli: Sequence[Stimulus]) -> Vector | No
         "protocolId": protocols,
         "nodeId": [each.hex(":") for each in neighbours],
     }
-    needed = case.requirements
+    needed = [each for each in case.requirements if _holds(codec, each)]
     done = []
     for place, step in enumerate(steps):
-        which = watcher.requirements.get(place) or _SHOWN.get(step.call or "") or needed[0]
+        which = watcher.requirements.get(place) or _SHOWN.get(step.call or "", "")
+        which = which if _holds(codec, which) else needed[0]
         done.append(_answered(step, [each.answers[place] for each in found], rows, which))
-    expect = list(_expected(codec, steps, end, found))
+    expect = list(_expected(codec, steps, end, found, needed[0]))
     return Vector(f"{profile}/behaviour/{case.id}", case.purpose, (), tuple(needed), end, done, expect)
+
+
+def _holds(codec: Codec, name: str) -> bool:
+    """Return whether a requirement, or the place of a disputed text, exists in the version of a profile."""
+    if "-" not in name:
+        return bool(name)
+    return requirement(name).holds_in(codec.profile.spec_version)
 
 
 # -- answers --------------------------------------------------------------------------------------------------------
@@ -179,8 +188,13 @@ def _lists(method: str) -> Iterator[tuple[str, str]]:
 # -- events --------------------------------------------------------------------------------------------------------
 
 
-def _expected(codec: Codec, steps: Sequence[Step], end: int, found: Sequence[Trace]) -> Iterator[Expect]:
-    """Yield the expectations about events: each interval has all occurrences in all traces."""
+def _expected(
+    codec: Codec, steps: Sequence[Step], end: int, found: Sequence[Trace], otherwise: str
+) -> Iterator[Expect]:
+    """Yield the expectations about events: each interval has all occurrences in all traces.
+
+    ``otherwise``: the requirement of an event that has none of its own in this version.
+    """
     own, created = reference_config(codec).node_id.hex(), _creation(codec)
     counted = [_by_key(each.events, own, created) for each in found]
     keys = dict.fromkeys(key for each in counted for key in each)
@@ -204,6 +218,7 @@ def _expected(codec: Codec, steps: Sequence[Step], end: int, found: Sequence[Tra
         if kind != "indication" and upper is not None and not steady and _cut(steps, before, end):
             least, upper = max(0, least - 1), max(upper, most + 1)
         which = _EVENTS.get(kind) or _RECORDS.get(ICType(number), "VD-PAY-02")
+        which = which if _holds(codec, which) else otherwise
         yield Expect(kind, number, octets, after, before, least, upper, which)
 
 
