@@ -28,11 +28,18 @@ from dcp_codec.export.c.adapter import adapter_files
 from dcp_codec.export.c.files import codec_files
 
 from .docs.__main__ import build
+from .docs.staging import with_links
 
 ROOT = Path(__file__).resolve().parents[1]
 #: The profiles whose codec is in the archive: every version of the specification, and the public implementation.
 PROFILES = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.3", "cpp-2.0")
 EXAMPLE = ROOT / "examples" / "c-node"
+#: Pages of the archive of C, by their place in this repository.
+C_PAGES = {
+    "docs/c.md": "README.md",
+    "examples/c-node/README.md": "c-node/README.md",
+    "conformance/UPPER-TESTER.md": "UPPER-TESTER.md",
+}
 RUNNERS = ROOT / "examples" / "vectors"
 
 
@@ -55,7 +62,7 @@ def files_below(folder: Path) -> dict[str, bytes]:
 
 def c_files(profiles: Sequence[str] = PROFILES) -> dict[str, bytes]:
     """Return the generated C: a folder for each profile, and the example node with that of 2.0."""
-    found = {"LICENSE": (ROOT / "LICENSE").read_bytes(), "README.md": (ROOT / "docs" / "c.md").read_bytes()}
+    found = {"LICENSE": (ROOT / "LICENSE").read_bytes()}
     for name in profiles:
         codec = get_codec(name)
         made = {**codec_files(codec), **adapter_files(codec)}
@@ -63,7 +70,9 @@ def c_files(profiles: Sequence[str] = PROFILES) -> dict[str, bytes]:
         if name == "dcp-2.0":
             found |= {f"c-node/{file}": text.encode() for file, text in made.items()}
     tracked = _output("git", "ls-files", EXAMPLE.relative_to(ROOT).as_posix()).split()
-    return found | {f"c-node/{Path(each).name}": (ROOT / each).read_bytes() for each in tracked}
+    found |= {f"c-node/{Path(each).name}": (ROOT / each).read_bytes() for each in tracked}
+    pages = {source: with_links((ROOT / source).read_text(), source, page, C_PAGES) for source, page in C_PAGES.items()}
+    return found | {C_PAGES[source]: text.encode() for source, text in pages.items()}
 
 
 def vector_files(profiles: Sequence[str] | None = None) -> dict[str, bytes]:

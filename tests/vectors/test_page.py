@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 import subprocess
 from pathlib import Path
@@ -31,3 +32,14 @@ def test_the_first_five_minutes(tmp_path: Path) -> None:
     )
     assert found.returncode == 0, found.stderr
     assert found.stdout.splitlines() == printed
+
+
+def test_links_lead_to_files_of_the_archive() -> None:
+    found = c_files(["dcp-2.0"])
+    links = 0
+    for page in (name for name in found if name.endswith(".md")):
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", found[page].decode()):
+            if "://" not in link:
+                links += 1
+                assert posixpath.normpath(posixpath.join(posixpath.dirname(page), link)) in found, f"{page}: {link}"
+    assert links >= 4
