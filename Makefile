@@ -23,7 +23,7 @@ unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
 .PHONY: docs man demo test test-all test-computing test-suite test-tools test-tables test-links test-c-node \
-        test-versions test-lowest test-fresh test-repeat lint release bench bench-columns bench-fuzz matrix \
+        test-versions test-lowest test-fresh test-repeat lint release picture bench bench-columns bench-fuzz matrix \
         selftest-doc clean
 
 # Status 3: something is inconclusive, as on a machine that is too busy; the command names it.
@@ -108,6 +108,10 @@ docs: $(STAMP)
 # Everything that a release consists of: build/release.
 release: $(STAMP)
 	$(BIN)/python -m tools.release
+
+# The picture of the README, for a new version (chromium): a minute.
+picture: $(STAMP)
+	$(BIN)/python -m tools.picture
 
 # The whole suite against the example node in C, built with sanitizers, over virtual Ethernet (root): three minutes.
 test-c-node: $(STAMP)
