@@ -118,7 +118,8 @@ def vector(profile: str, case: Case, stimuli: Sequence[Stimulus]) -> Vector | No
     """Return the vector of a case; None if its steps are not suitable."""
     codec = get_codec(profile)
     made = steps_of(codec, stimuli)
-    if made is None or case.id in _ELSEWHERE:
+    needed = [each for each in case.requirements if _holds(codec, each)]
+    if made is None or not needed or case.id in _ELSEWHERE:
         return None
     steps, end = made
     found = traces(profile, steps, end)
@@ -136,7 +137,6 @@ def vector(profile: str, case: Case, stimuli: Sequence[Stimulus]) -> Vector | No
         "protocolId": protocols,
         "nodeId": [each.hex(":") for each in neighbours],
     }
-    needed = [each for each in case.requirements if _holds(codec, each)]
     done = []
     for place, step in enumerate(steps):
         which = watcher.requirements.get(place) or _SHOWN.get(step.call or "", "")
