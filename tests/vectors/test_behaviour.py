@@ -173,11 +173,12 @@ def test_the_node_in_c_passes_in_googletest(tmp_path: Path) -> None:
 
 
 @pytest.mark.part("tools")
-def test_python_runner_passes(tmp_path: Path) -> None:
-    folder = tmp_path / "dcp-2.0"
-    folder.mkdir()
-    (folder / "behaviour.json").write_bytes(dict(files(["dcp-2.0"], ["behaviour"]))["dcp-2.0/behaviour.json"])
-    runner = RUNNERS / "python" / "test_behaviour.py"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", runner]
-    found = subprocess.run(command, env={"DCP_VECTORS": str(folder)}, cwd=tmp_path, capture_output=True, text=True)
+def test_python_runners_pass(tmp_path: Path) -> None:
+    for path, octets in files(["dcp-2.0"]):
+        if path.startswith("dcp-2.0/"):
+            (tmp_path / path).parent.mkdir(exist_ok=True)
+            (tmp_path / path).write_bytes(octets)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", RUNNERS / "python"]
+    variables = {"DCP_VECTORS": str(tmp_path / "dcp-2.0")}
+    found = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout[-2000:]

@@ -131,22 +131,3 @@ def test_generated_c_passes_in_googletest(tmp_path: Path) -> None:
     subprocess.run([*command, "-lgtest", "-lgtest_main", "-lpthread", "-o", "wire_test"], cwd=tmp_path, check=True)
     found = subprocess.run(["./wire_test"], cwd=tmp_path, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout[-2000:]
-
-
-@pytest.mark.part("tools")
-def test_python_runner_passes(tmp_path: Path) -> None:
-    for name in ("dcp-2.0", "student-2024"):
-        folder = tmp_path / name
-        folder.mkdir()
-        written(name, folder)
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            str(RUNNERS / "python" / "test_wire.py"),
-        ]
-        found = subprocess.run(command, env={"DCP_VECTORS": str(folder)}, cwd=tmp_path, capture_output=True, text=True)
-        assert found.returncode == 0, found.stdout[-2000:]
