@@ -41,9 +41,9 @@ def build(codec: Codec, folder: Path, compiler: str = "cc", options: Sequence[st
     for name, text in {**codec_files(codec), "harness.c": harness(codec)}.items():
         (folder / name).write_text(text, encoding="utf-8")
     program = folder / "harness"
-    # Only the codec is built strictly, not the harness.
-    for strict, source in ((STRICT, "dcp_codec.c"), (("-std=c99",), "harness.c")):
-        command = [compiler, *strict, *options, "-c", source, "-o", f"{source}.o"]
+    # Only the codec is built strictly and with sanitizers, not the harness.
+    for given, source in (((*STRICT, *options), "dcp_codec.c"), (("-std=c99", "-O0"), "harness.c")):
+        command = [compiler, *given, "-c", source, "-o", f"{source}.o"]
         found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if found.returncode or found.stderr:
             raise RuntimeError(f"{' '.join(command)}\n{found.stderr}")
