@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
@@ -12,6 +14,13 @@ _EPOCHS = {
     "simulation": "the simulation began",
     "boot": "the sender was started",
 }
+
+
+def snake_name(name: str) -> str:
+    """Return a name of the specification as Kaitai and C have it: ``"BPHeader"`` -> ``"bp_header"``."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
+    plain = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
+    return plain if plain[:1].isalpha() else f"f_{plain}".rstrip("_")
 
 
 def requirement_of(node: Node) -> str | None:

@@ -20,7 +20,8 @@ from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec import Codec, DecodeError, Field, get_codec
 from dcp_codec.capture import open_capture
-from dcp_codec.export.ksy import kaitai_name, kaitai_struct
+from dcp_codec.export.ksy import kaitai_struct
+from dcp_codec.export.wording import snake_name
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.plan.tree import Many, Text
 from dcp_codec.testing import strategies
@@ -95,7 +96,7 @@ def reached(root: Any, path: str) -> Any:
     here = root
     for part in path.split("."):
         name, _, index = part.partition("[")
-        attribute = kaitai_name(name)
+        attribute = snake_name(name)
         # A client payload goes by its label with us, and always is the content of its block in Kaitai.
         here = getattr(here, attribute) if hasattr(here, attribute) else here.content
         if index:
@@ -120,13 +121,13 @@ def compare(dissected: Field, root: Any) -> int:
             continue
         if isinstance(layout, Many):
             found = reached(root, path)
-            found = found if isinstance(found, list) else getattr(found, kaitai_name(field.name))
+            found = found if isinstance(found, list) else getattr(found, snake_name(field.name))
             assert len(found) == len(field.children), path
             continue
         if field.value is None:
             continue
         if length := re.fullmatch(r"(.*?)([^.]+)\.length(\d*)", path):
-            text, name = fields.get(f"{length[1]}{length[2]}"), f"len_{kaitai_name(length[2])}"
+            text, name = fields.get(f"{length[1]}{length[2]}"), f"len_{snake_name(length[2])}"
             if text is not None and isinstance(text.layout, Text):
                 path = f"{length[1]}{name}" + (f"_{length[3]}" if length[3] else "")
         assert plain(reached(root, path)) == plain(field.value), path
@@ -224,7 +225,7 @@ def test_descriptions_are_decoded_on_demand() -> None:
     ],
 )
 def test_names(name: str, expected: str) -> None:
-    assert kaitai_name(name) == expected
+    assert snake_name(name) == expected
 
 
 def test_two_members_with_one_name_are_refused(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import msgspec
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
-from dcp_codec.export.ksy import kaitai_name
 from dcp_codec.export.shape import shape_of
+from dcp_codec.export.wording import snake_name
 from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Group, Scalar
 
@@ -109,7 +109,7 @@ class _Contract:
         lines += [",\n".join(f"    DCP_{constant(name)}" for name in self._statuses()), "} dcp_status_t;", ""]
         for name, params in self._requests().items():
             lines += comment(f"{name}: {params.get('description', '')}")
-            lines += [f"typedef struct dcp_{kaitai_name(name)}_params {{"]
+            lines += [f"typedef struct dcp_{snake_name(name)}_params {{"]
             for member, kind, _, told, schema in self._members(params):
                 text = schema.get("description", "")
                 if kind == "INTEGERS":
@@ -119,7 +119,7 @@ class _Contract:
                 lines += comment(text, "    ") if text else []
                 lines.append(f"    {_TYPES[kind]} {member_name(member)};")
                 lines += [f"    bool has_{member_name(member)};"] if told else []
-            lines += [f"}} dcp_{kaitai_name(name)}_params_t;", ""]
+            lines += [f"}} dcp_{snake_name(name)}_params_t;", ""]
         lines += ["/* One function for each method of the contract; NULL: the node has no such method. Each calls", *()]
         lines += [
             " * dcp_result or dcp_error once; node is that of dcp_handle_line. */",
@@ -132,7 +132,7 @@ class _Contract:
 
     def _argument(self, method: str) -> str:
         name, params = self._params(f"{method}.request")
-        return f", const dcp_{kaitai_name(name)}_params_t *params" if params.get("properties") else ""
+        return f", const dcp_{snake_name(name)}_params_t *params" if params.get("properties") else ""
 
     def _statuses(self) -> list[str]:
         found = ["UT-STATUS-OK"]
@@ -155,8 +155,8 @@ class _Contract:
         """Return the parameter tables and the function that calls methods."""
         lines: list[str] = []
         for name, params in self._requests().items():
-            stem = f"dcp_{kaitai_name(name)}_params_t"
-            lines.append(f"static const parameter_t {kaitai_name(name)}_params[] = {{")
+            stem = f"dcp_{snake_name(name)}_params_t"
+            lines.append(f"static const parameter_t {snake_name(name)}_params[] = {{")
             for member, kind, required, told, _ in self._members(params):
                 given = f"offsetof({stem}, has_{member_name(member)})" if told else "NOT_TOLD"
                 place = f"offsetof({stem}, {member_name(member)})"
@@ -166,7 +166,7 @@ class _Contract:
         lines += ["                 dcp_out_t *out)", "{"]
         for method in self.methods:
             name, params = self._params(f"{method}.request")
-            function, stem = _function(method), kaitai_name(name)
+            function, stem = _function(method), snake_name(name)
             lines.append(f'    if (is(method, "{method}") && methods->{function} != NULL) {{')
             if params.get("properties"):
                 lines += [f"        dcp_{stem}_params_t given;", "        memset(&given, 0, sizeof given);"]
@@ -251,7 +251,7 @@ class _Contract:
         ]
         arguments = ["dcp_out_t *out"]
         for member, kind, optional in members:
-            given = kaitai_name(member)
+            given = snake_name(member)
             given = f"{given}_" if given in ("event", "new") and given == "new" else given
             if kind in ("HEX", "NODE_ID"):
                 arguments.append(f"const dcp_octets_t *{given}")
@@ -274,7 +274,7 @@ class _Contract:
             lines += [signature, "{", "    begin_message(out);", f'    dcp_put_text(out, "method", "{name}");']
             lines.append('    dcp_begin_object(out, "params");')
             for member, kind, optional in members:
-                given = kaitai_name(member)
+                given = snake_name(member)
                 given = f"{given}_" if given == "new" else given
                 if kind in ("HEX", "NODE_ID"):
                     function = "dcp_put_octets_hex" if kind == "HEX" else "dcp_put_node_id"
@@ -289,7 +289,7 @@ class _Contract:
 
 
 def _function(method: str) -> str:
-    return re.sub(r"_+", "_", kaitai_name(method))
+    return re.sub(r"_+", "_", snake_name(method))
 
 
 _HEADER = """@HEADING@

@@ -7,7 +7,7 @@ import textwrap
 
 from dcp_spec.catalogue.requirements import requirement
 
-from dcp_codec.export.ksy import kaitai_name
+from dcp_codec.export.wording import snake_name
 from dcp_codec.plan.tree import Group, Scalar
 
 #: Words that no member of a structure may have, in C99 and C++17, beside those that Python reserves, too.
@@ -27,7 +27,7 @@ _LINE = 100
 
 def member_name(name: str) -> str:
     """Return the name of a structure's member: ``"numPayloads"`` -> ``"num_payloads"``."""
-    plain = kaitai_name(name)
+    plain = snake_name(name)
     return f"{plain}_" if plain in _WORDS else plain
 
 
@@ -56,7 +56,7 @@ def value_type(scalar: Scalar) -> str:
 
 def stem(group: Group) -> str:
     """Return the name of a record without prefix: ``"VarUpdate"`` -> ``"var_update"``."""
-    return kaitai_name(group.type_name)
+    return snake_name(group.type_name)
 
 
 def cite(identifier: str | None) -> str:
