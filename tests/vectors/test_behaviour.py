@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import msgspec
@@ -157,28 +156,3 @@ def test_the_node_in_c_passes_and_a_wrong_one_fails(tmp_path: Path) -> None:
     found = subprocess.run(["./behaviour", "behaviour.txt"], cwd=tmp_path, capture_output=True, text=True)
     assert found.returncode == 1
     assert "FAIL dcp-2.0/behaviour/" in found.stdout
-
-
-@pytest.mark.tool("g++")
-@pytest.mark.skipif(not Path("/usr/include/gtest").is_dir(), reason="needs libgtest-dev")
-def test_the_node_in_c_passes_in_googletest(tmp_path: Path) -> None:
-    written(tmp_path)
-    subprocess.run(["gcc", "-c", "-I.", *RUNNER[:2], *SOURCES], cwd=tmp_path, check=True)
-    command = ["g++", "-std=c++17", "-I", RUNNERS / "c" / "behaviour", RUNNERS / "cpp" / "behaviour_test.cpp"]
-    objects = [path.name for path in tmp_path.glob("*.o")]
-    subprocess.run([*command, *objects, "-lgtest", "-lgtest_main", "-o", "tests"], cwd=tmp_path, check=True)
-    found = subprocess.run(["./tests"], cwd=tmp_path, capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout[-2000:]
-    assert f"[  PASSED  ] {len(VECTORS)} tests." in found.stdout
-
-
-@pytest.mark.part("tools")
-def test_python_runners_pass(tmp_path: Path) -> None:
-    for path, octets in files(["dcp-2.0"]):
-        if path.startswith("dcp-2.0/"):
-            (tmp_path / path).parent.mkdir(exist_ok=True)
-            (tmp_path / path).write_bytes(octets)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", RUNNERS / "python"]
-    variables = {"DCP_VECTORS": str(tmp_path / "dcp-2.0")}
-    found = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout[-2000:]
