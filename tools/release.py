@@ -1,8 +1,8 @@
 """Build everything that a release consists of: ``python -m tools.release [FOLDER]``, by default ``build/release``.
 
-Wheel and source distribution of the kit, wheel of its self-test, the generated C of the main profiles with the example
-node, test vectors with their runners, the documentation site, the container file, and SHA-256 sums. Archives of one
-commit are equal: their files have the date of the commit and no owner.
+Wheel and source distribution of the kit, wheel of its self-test, the generated C and Rust of the main profiles with the
+example node, test vectors with their runners, the documentation site, the container file, and SHA-256 sums. Archives of
+one commit are equal: their files have the date of the commit and no owner.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import get_codec
 from dcp_codec.export.c.adapter import adapter_files
 from dcp_codec.export.c.files import codec_files
+from dcp_codec.export.rust.module import rust_module
 
 from .docs.__main__ import build
 from .docs.staging import with_links
@@ -61,11 +62,12 @@ def files_below(folder: Path) -> dict[str, bytes]:
 
 
 def c_files(profiles: Sequence[str] = PROFILES) -> dict[str, bytes]:
-    """Return the generated C: a folder for each profile, and the example node with that of 2.0."""
+    """Return the generated C and Rust: a folder for each profile, and the example node with that of 2.0."""
     found = {"LICENSE": (ROOT / "LICENSE").read_bytes()}
     for name in profiles:
         codec = get_codec(name)
         made = {**codec_files(codec), **adapter_files(codec)}
+        found[f"{name}/dcp_codec.rs"] = rust_module(codec).encode()
         found |= {f"{name}/{file}": text.encode() for file, text in made.items()}
         if name == "dcp-2.0":
             found |= {f"c-node/{file}": text.encode() for file, text in made.items()}

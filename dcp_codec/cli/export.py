@@ -18,6 +18,7 @@ from .common import load_codec
 #: kind -> (module, function of a codec, help); a kind of several files has a dictionary of texts by name
 _KINDS = {
     "c": ("dcp_codec.export.c.files", "codec_files", "decoder and encoder in C99"),
+    "rust": ("dcp_codec.export.rust.module", "rust_module", "decoder and encoder in Rust, no_std"),
     "lua": ("dcp_codec.export.lua", "wireshark_dissector", "Wireshark/tshark dissector (Lua)"),
     "ksy": ("dcp_codec.export.ksy", "kaitai_struct", "Kaitai Struct specification"),
     "jsonschema": ("dcp_codec.export.jsonschema", "frame_schema", "JSON Schema of 'decode --format jsonl'"),
@@ -40,6 +41,7 @@ def command(kind: str, adapter: bool, profile: str, out: str | None) -> int:
 
     \b
     c           dcp_codec.h and dcp_codec.c: decoder and encoder in C99, without allocation
+    rust        a module in Rust: decoder and encoder, no_std, without unsafe code
     lua         Wireshark dissector, also for tshark -X lua_script:FILE
     ksy         Kaitai Struct, for kaitai-struct-compiler -t LANGUAGE FILE
     jsonschema  JSON Schema of the output of 'decode --format jsonl'

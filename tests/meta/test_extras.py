@@ -142,6 +142,7 @@ def test_simulation_and_pcap_need_no_extra(tmp_path):
 
 def test_c_and_vectors_need_no_further_extra(tmp_path):
     assert run(f"dcp-codec export c --adapter --profile dcp-2.0 --out {tmp_path}").status == 0
+    assert run(f"dcp-codec export rust --profile dcp-2.0 -o {tmp_path}/dcp_codec.rs").status == 0
     done = run(f"dcp-conformance vectors {tmp_path}/vectors --profile dcp-1.0", "conformance")
     assert (done.status, done.err) == (0, "")
 

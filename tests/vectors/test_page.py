@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -48,15 +49,17 @@ def test_the_first_five_minutes(folder: Path) -> None:
     assert run(commands, folder, "/usr/bin:/bin").splitlines() == printed
 
 
-@pytest.mark.tool("cc", "g++")
+@pytest.mark.tool("cc", "g++", "rustc")
 @pytest.mark.skipif(not Path("/usr/include/gtest").is_dir(), reason="needs libgtest-dev")
-def test_runners_in_cpp_and_python(folder: Path) -> None:
+def test_runners_in_cpp_python_and_rust(folder: Path) -> None:
     unpack, names = shown(PAGE)[0][:2]
     commands, _ = shown(PAGE.partition("## Runners")[2])
-    printed = run([unpack, names, *commands], folder, f"{Path(sys.executable).parent}:/usr/bin:/bin")
+    rust = Path(shutil.which("rustc") or "").parent
+    printed = run([unpack, names, *commands], folder, f"{Path(sys.executable).parent}:{rust}:/usr/bin:/bin")
     counts = re.findall(r"^(\d+) vectors, 0 failed$", PAGE, re.MULTILINE)
     assert re.findall(r"\[  PASSED  \] (\d+) tests", printed) == counts
     assert f"{sum(map(int, counts))} passed" in printed
+    assert f"{counts[0]} vectors, 0 failed\n" in printed
 
 
 def test_links_lead_to_files_of_the_archive() -> None:

@@ -1,0 +1,1 @@
+"""Export of the codec of a profile as a module in Rust: no allocation, no unsafe code, only the crate ``core``."""
