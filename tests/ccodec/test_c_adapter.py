@@ -34,9 +34,7 @@ PARTS = (
 )
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("adapter")
+def built(folder: Path) -> Path:
     codec = get_codec("dcp-2.0")
     for name, text in {**codec_files(codec), **adapter_files(codec)}.items():
         (folder / name).write_text(text)
@@ -90,7 +88,14 @@ def decoded(line: bytes) -> Any:
         return msgspec.UNSET
 
 
-def test_damaged_lines(program: Path) -> None:
+def test_lines(tmp_path: Path) -> None:
+    """Good ones and damaged ones, by one program: building it with sanitizers costs more than the rest."""
+    program = built(tmp_path)
+    check_answers(program)
+    check_damaged_lines(program)
+
+
+def check_damaged_lines(program: Path) -> None:
     rng = random.Random("adapter")
     lines = [mutated(rng.choice(EXAMPLES).encode(), rng) for _ in range(LINES)]
     codes: dict[int, int] = {}
@@ -112,7 +117,7 @@ def test_damaged_lines(program: Path) -> None:
     assert {0, -32700, -32600, -32601, -32602} <= set(codes), codes
 
 
-def test_answers(program: Path) -> None:
+def check_answers(program: Path) -> None:
     """A batch, a notification, values of every kind, and errors."""
     lines = [
         b'{"jsonrpc":"2.0","id":"\\u00e9","method":"RTDB-Create",'
