@@ -21,6 +21,7 @@ from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
 from dcp_stack.virtual.medium import Arrival, SimulatedMedium, TraceDigest
 from dcp_stack.virtual.quality import PERFECT, Quality
+from dcp_stack.virtual.radio import Radio, RadioMedium
 from dcp_stack.virtual.topology import Positions, Topology
 from dcp_stack.virtual.world import Station, World, node_id
 
@@ -172,6 +173,7 @@ class Network(World):
         seed: int = 1,
         topology: Topology | None = None,
         quality: Quality = PERFECT,
+        radio: Radio | None = None,
         bp: BPConfig | None = None,
         srp: SRPConfig | None = None,
         vardis: VardisConfig | None = None,
@@ -184,7 +186,11 @@ class Network(World):
         the same outcome. Raises ValueError for parameters out of bounds.
         """
         self.digest = TraceDigest()
-        self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
+        self.medium: SimulatedMedium
+        if radio is None:
+            self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
+        else:
+            self.medium = RadioMedium(count, radio, quality, seed=seed, topology=topology, observer=self.digest)
         super().__init__(self.medium, self.arrive)
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)

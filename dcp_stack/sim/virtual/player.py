@@ -45,6 +45,7 @@ from dcp_stack.sim.scenario.provenance import Provenance
 from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
 from dcp_stack.sim.scenario.requests import request, trouble
 from dcp_stack.virtual.medium import MediumCounters
+from dcp_stack.virtual.radio import RadioError
 
 from .network import Network
 
@@ -67,12 +68,17 @@ class Simulation:
         self.scenario = check(scenario)
         self.codec: Codec = scenario_codec(scenario)
         check_nodes(scenario, self.codec)
+        try:
+            radio = None if scenario.radio is None else scenario.radio.radio()
+        except RadioError as error:
+            raise ScenarioError(f"radio.model: {error}") from None
         self.network = Network(
             scenario.nodes,
             self.codec,
             seed=scenario.seed,
             topology=scenario.topology.heard_by(scenario.nodes),
             quality=scenario.link.quality(),
+            radio=radio,
             bp=scenario.bp,
             srp=scenario.srp_config,
             vardis=scenario.vardis_config,
@@ -90,8 +96,9 @@ class Simulation:
             self.network.medium,
             {station.config.node_id: station.index for station in self.network.stations},
             warm_up=scenario.warm_up,
-            # Twice the time of the payloads before it, for jitter and for beacons that other clients fill.
-            held_back=2 * (queued + 2) * period,
+            # Twice the time of the payloads before it, for jitter and for beacons that other clients fill. One of 10^9
+            # exponential intervals is longer than 20 periods.
+            held_back=(20 if scenario.bp.intervals == "exponential" else 2) * (queued + 2) * period,
         )
         self._before = Traffic.of(self.network)
         self._own_quality: set[tuple[int, int]] = set()
@@ -103,11 +110,14 @@ class Simulation:
     def run(self) -> Report:
         """Execute the scenario from beginning to end. Call it once.
 
-        An interruption (Ctrl-C) ends the run; the report then has what was measured before.
+        An interruption (Ctrl-C) ends the run; the report then has what was measured before. Raises
+        :class:`ScenarioError` if a model of the radio fails.
         """
         real, cpu = time.perf_counter(), time.process_time()
         try:
             self.network.run_until(self.scenario.duration)
+        except RadioError as error:
+            raise ScenarioError(f"radio.model: {error}") from error
         except KeyboardInterrupt:
             at = f"interrupted at {self.network.now / NS_PER_S:.3f} s; later expectations are not judged"
             self.findings.append(Finding("the run reaches its end", False, at))
@@ -326,9 +336,7 @@ class Simulation:
             )
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
-        shares["missed"] = medium.missed
-        if medium.corrupted:
-            shares["corrupted"] = medium.corrupted
+        shares |= {"missed": medium.missed, "overlapped": medium.overlapped, "corrupted": medium.corrupted}
         return Report(
             title=scenario.title,
             ground="simulate",
