@@ -7,8 +7,6 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-import msgspec
-
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
@@ -25,7 +23,7 @@ from dcp_stack.virtual.radio import Radio, RadioMedium
 from dcp_stack.virtual.topology import Positions, Topology
 from dcp_stack.virtual.world import Station, World, node_id
 
-from .hearing import MOST_WAITING, HearingNode, Parsed, Parser, ReceivedBeacon
+from .hearing import HearingNode, Parsed, Parser, ReceivedBeacon
 from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
@@ -127,9 +125,7 @@ class NetworkStation(Station):
         self.beacons_received += 1
         self.show(arrival)
         if self.node is not None:
-            self.network.delivering = arrival
             self.guarded(self.node.handle_frame, arrival.octets, now=self.world.now, wall=self.wall())
-            self.network.delivering = None
 
     def poll(self, source: PositionSource) -> None:
         """Submit the current samples of a source to the node, and schedule the next poll."""
@@ -217,8 +213,7 @@ class Network(World):
             self.stations.append(self.station(index, config, rng))
             self.medium.switch(index, up=False)
         if share_decoding and self.stations:
-            # Its cache makes that of the shared codec superfluous.
-            self.parse = Parser(msgspec.structs.replace(self.stations[0].config, codec=codec)).parse
+            self.parse = Parser(self.stations[0].config).parse
 
     def station(self, index: int, config: NodeConfig, rng: random.Random) -> NetworkStation:
         """Return a new station."""
@@ -316,33 +311,40 @@ class Network(World):
         stations, octets = self.stations, arrival.octets
         beacon = self.parse(octets) if self.parse is not None else None
         if beacon is None:
+            self.delivering = arrival
             for receiver in arrival.receivers:
                 station = stations[receiver]
                 if station.hearing is not None:
                     # The frame may contain a request; the node then has to process the sender's next beacon completely.
                     station.hearing.forget_all()
                 station.deliver(arrival)
+            self.delivering = None
             return
-        heard = ReceivedBeacon(beacon, self.now, self.wall)
-        sender, payload, network = beacon.sender_id, beacon.vardis, beacon.network_id
+        now, wall = self.now, self.wall
+        heard = ReceivedBeacon(beacon, now, wall)
+        self.delivering = arrival
         for receiver in arrival.receivers:
             station = stations[receiver]
             node = station.hearing
             if node is not None:
-                # Inlined from node.hear(): nearly all deliveries of a large network end here, and the call would
-                # double their cost.
-                waiting = node.waiting.get(sender)
-                if waiting and payload in node.known and network == node.network_id and len(waiting) < MOST_WAITING:
-                    waiting.append(heard)
-                elif not node.hear(heard):
-                    # The waiting beacons of this sender arrived earlier.
-                    node.settle_one(sender)
-                    node = None
-            if node is not None:
-                station.beacons_received += 1
-                if station.watchers:
-                    station.show(arrival)
-                continue
+                try:
+                    done = node.hear(
+                        heard if not station.offset else ReceivedBeacon(beacon, now, wall + station.offset)
+                    )
+                    # Updates and summaries change no timer.
+                    if done and (effects := node.take_effects()):
+                        station.apply(effects)
+                except Exception as error:  # the other stations continue
+                    station.fail(error)
+                    continue
+                if done:
+                    station.beacons_received += 1
+                    if station.watchers:
+                        station.show(arrival)
+                    continue
+                # The waiting beacons of this sender arrived earlier.
+                node.settle_one(beacon.sender_id)
             station.deliver(arrival)
             if station.hearing is not None:
                 station.hearing.handled(beacon)
+        self.delivering = None

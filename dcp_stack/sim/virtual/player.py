@@ -281,7 +281,7 @@ class Simulation:
         node = self.network.stations[index].node
         if node is None or node.vardis is None:
             return
-        entry = node.vardis.describe_variable(effect.var_id).entry
+        entry = node.vardis.entry(effect.var_id)
         if effect.event == "deleted" or entry is None or entry.is_deleted:
             self.agreement.learn(index, effect.var_id, None)
             self.measurements.deleted(now, index, effect.var_id)

@@ -9,6 +9,7 @@ from dcp_stack.config import SRPConfig
 from dcp_stack.effects import NeighbourSeen
 from dcp_stack.sim.scenario.definition import (
     Activate,
+    Clock,
     Create,
     Deactivate,
     Delete,
@@ -44,6 +45,7 @@ TROUBLE = (
     Create(at_s=8, node=2, variable=2, text="again"),
     Restart(at_s=9, node=0),
     Create(at_s=9.3, node=0, variable=1, text="back"),
+    Clock(at_s=9.5, node=4, step_s=3.0),
     Down(at_s=10, node=1),
     Up(at_s=14, node=1),
 )
