@@ -334,6 +334,11 @@ class Simulation:
                 "bp.triggered has no effect on VarDis: it composes just before a beacon (reading X54), so no new "
                 "payload brings the beacon forward"
             )
+        if scenario.vardis and self.codec.profile.name.startswith("cpp-") and "X54" not in scenario.readings:
+            totals.notes.append(
+                "the C++ implementation composes a payload right after the beacon before it, this simulation just "
+                'before its beacon: readings = { X54 = "after-the-beacon" } has the delays of C++'
+            )
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
         shares |= {"missed": medium.missed, "overlapped": medium.overlapped, "corrupted": medium.corrupted}
