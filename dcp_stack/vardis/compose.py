@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
@@ -70,10 +70,8 @@ class Composer:
         ##= VD-CMP-14
         if self._purge:
             self._database.purge()
-        take = self._take_filled if self._own_fields else self._take
         largest = room - self._sizes.ic_header
         containers: list[Container] = []
-        records: list[VardisRecord | OwnRecord]
         for kind, queue in self._order:
             ##= VD-IC-03
             if not queue:
@@ -81,10 +79,7 @@ class Composer:
             chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
             # Records are built before the next queue is read: building them changes queues (VD-CMP-06 to VD-CMP-12).
-            if kind is ICType.SUMMARIES and not self._own_fields:
-                records = self._summaries(chosen)
-            else:
-                records = [take(kind, var_id) for var_id in chosen]
+            records = self._take_all(kind, chosen)
             ##= VD-PAY-05
             for first in range(0, len(records), IC_MAX_RECORDS):
                 group = tuple(records[first : first + IC_MAX_RECORDS])
@@ -106,13 +101,6 @@ class Composer:
         header = self._sizes.ic_header
         chosen: list[int] = []
         used = 0
-        if kind is ICType.SUMMARIES:
-            # All summaries have one size: a division replaces the loop, as long as one container holds them.
-            each = self._record_size(kind, -1)
-            most = max((room - header) // each, 0)
-            if each <= largest and min(most, len(queue), self._parameters.max_summaries) <= IC_MAX_RECORDS:
-                chosen = list(islice(candidates, most))
-                return chosen, header + each * len(chosen) if chosen else 0
         ##= VD-PAY-06
         for var_id in candidates:
             size = self._record_size(kind, var_id)
@@ -181,18 +169,15 @@ class Composer:
             ##= VD-CMP-11
             database.req_upd_q.remove(var_id)
             return VarReqUpdate(var_id, entry.seqno)
-        return self._summaries([var_id])[0]
-
-    def _summaries(self, chosen: list[int]) -> list[VardisRecord | OwnRecord]:
-        """Return the summaries of variables, and move these to the tail of the queue."""
-        entries, queue = self._database.entries, self._database.summary_q
-        # Moving all of them in their order changes nothing.
-        if len(chosen) < len(queue):
-            for var_id in chosen:
-                ##= VD-CMP-03
-                queue.rotate(var_id)
+        ##= VD-CMP-03
+        database.summary_q.rotate(var_id)
         ##= VD-CMP-04
-        return [VarSumm(var_id, entries[var_id].seqno) for var_id in chosen]
+        return VarSumm(var_id, entry.seqno)
+
+    def _take_all(self, kind: ContainerType, chosen: list[int]) -> Sequence[VardisRecord | OwnRecord]:
+        """Return the records of variables, and count them as sent."""
+        take = self._take_filled if self._own_fields else self._take
+        return [take(kind, var_id) for var_id in chosen]
 
     def _take_filled(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
         """Return :meth:`_take` with the values of fields that the profile adds to records."""

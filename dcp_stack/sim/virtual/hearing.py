@@ -13,16 +13,16 @@ from __future__ import annotations
 import functools
 import random
 from collections import Counter
-from collections.abc import Callable
-from itertools import chain
+from collections.abc import Callable, Sequence
+from itertools import chain, islice
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, IC_MAX_RECORDS, ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.values import ExtendedSafetyData, VarSumm, VarUpdate
+from dcp_codec.values import ExtendedSafetyData, OwnRecord, VardisRecord, VarSumm, VarUpdate
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.statistics import NeighbourLoss
@@ -33,8 +33,11 @@ from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.database import IdQueue
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.wire import ContainerType
 
 #: Maximum number of waiting beacons of one sender before a node adds them to its statistics.
 MOST_WAITING: Final = 64
@@ -53,16 +56,16 @@ Number = tuple[int, int]
 class Parsed(msgspec.Struct, frozen=True, gc=False):
     """A valid beacon with at most one report of its sender, at most one VarDis payload, and no other payloads.
 
-    The payload has no other ``records`` than updates and summaries, here in the order in which they are processed;
-    ``numbers`` are theirs. Both are empty without a payload. ``octets``: length of the frame. ``blocks``: protocol
-    identifiers of its payloads.
+    The payload has no other ``records`` than updates and summaries, here with their numbers in the order in which they
+    are processed; ``numbers`` are all of these. Both are empty without a payload. ``octets``: length of the frame.
+    ``blocks``: protocol identifiers of its payloads.
     """
 
     sender_id: bytes
     seqno: int
     network_id: int | None
     report: ExtendedSafetyData | None
-    records: tuple[VarUpdate | VarSumm, ...]
+    records: list[tuple[Number, VarUpdate | VarSumm]]
     numbers: frozenset[Number]
     octets: int
     blocks: tuple[int, ...]
@@ -82,9 +85,9 @@ class Parser:
     ``parse`` returns None for a beacon that does not fit :class:`Parsed`; each receiver then processes it completely.
     """
 
-    def __init__(self, config: NodeConfig) -> None:
-        """``config``: the configuration of any node of the network."""
-        self._codec: Codec = config.codec
+    def __init__(self, config: NodeConfig, shared: Codec) -> None:
+        """``config``: that of any node of the network. ``shared`` has the containers that the nodes have encoded."""
+        self._codec, self._shared = config.codec, shared
         self._wire = BPWire(config)
         self._numbered = [config.container_numbers[kind] for kind in (ICType.UPDATES, ICType.SUMMARIES)]
         """The container types of :attr:`Parsed.records`, in the order in which they are processed."""
@@ -110,7 +113,7 @@ class Parser:
         if not all(payloads.values()):
             return None
         payload = payloads.get(BP_PROTID_VARDIS)
-        records = () if payload is None else self._records(payload)
+        records = [] if payload is None else self._records(payload)
         if records is None:
             return None
         return Parsed(
@@ -119,21 +122,21 @@ class Parser:
             header.network_id,
             report,
             records,
-            frozenset([(each.var_id, each.seqno) for each in records]),
+            frozenset([number for number, _ in records]),
             len(octets),
             tuple([block.protocol_id for block in found.blocks]),
         )
 
-    def _records(self, payload: bytes) -> tuple[VarUpdate | VarSumm, ...] | None:
+    def _records(self, payload: bytes) -> list[tuple[Number, VarUpdate | VarSumm]] | None:
         """Return the records of a payload; None if it is invalid or has other records than updates and summaries."""
         try:
-            containers = self._codec.decode_containers(payload)
+            containers = self._shared.decode_containers(payload)
         except DecodeError:
             return None
         if any(each.ic_type not in self._numbered for each in containers):
             return None
         ordered = [each.records for kind in self._numbered for each in containers if each.ic_type == kind]
-        return tuple(chain.from_iterable(ordered))
+        return [((each.var_id, each.seqno), each) for records in ordered for each in records]
 
 
 class HearingBP(BeaconingProtocol):
@@ -251,6 +254,35 @@ class HearingReceiver(Receiver):
             self._summary(record, -1)
 
 
+class HearingComposer(Composer):
+    """A composer that takes all summaries at once: in most payloads there is nothing else."""
+
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        """Return the same as :meth:`Composer._fitting`.
+
+        All summaries have one size: a division replaces the loop, as long as one container holds them.
+        """
+        size = self._sizes.fixed.get(kind)
+        if kind is ICType.SUMMARIES and size is not None and size <= largest:
+            header = self._sizes.ic_header
+            most = min(self._parameters.max_summaries, max((room - header) // size, 0))
+            if min(most, len(queue)) <= IC_MAX_RECORDS:
+                chosen = list(islice(queue, most))
+                return chosen, header + size * len(chosen) if chosen else 0
+        return super()._fitting(kind, queue, room, largest)
+
+    def _take_all(self, kind: ContainerType, chosen: list[int]) -> Sequence[VardisRecord | OwnRecord]:
+        """Return the same as :meth:`Composer._take_all`."""
+        if kind is not ICType.SUMMARIES or self._own_fields:
+            return super()._take_all(kind, chosen)
+        entries, queue = self._database.entries, self._database.summary_q
+        # Moving all of them to the tail, in their order, changes nothing.
+        if len(chosen) < len(queue):
+            for var_id in chosen:
+                queue.rotate(var_id)
+        return [VarSumm(var_id, entries[var_id].seqno) for var_id in chosen]
+
+
 class HearingVardis(Vardis):
     """VarDis with the numbers of records that have no effect."""
 
@@ -266,7 +298,8 @@ class HearingVardis(Vardis):
         deleted variables, and without those whose update by this node waits for such a summary."""
         self._stored: dict[int, Number] = {}
         """The same by variable."""
-        self._receiver = self._hearing = HearingReceiver(self._core)
+        self._receiver = self._hearing = HearingReceiver(self._core, self.instructions)
+        self._composer = HearingComposer(self._core, self.instructions)
 
     def _follow(self, var_id: int) -> None:
         """Set the number of a variable that may have changed."""
@@ -286,13 +319,12 @@ class HearingVardis(Vardis):
     def learn(self, beacon: Parsed, new: frozenset[Number], now: int, wall: int) -> None:
         """Process the records with ``new`` numbers as :meth:`Vardis.handle_payload` does, in their order."""
         self.hears(beacon.sender_id)
-        for record in beacon.records:
-            number = (record.var_id, record.seqno)
+        for number, record in beacon.records:
             # The record before it may have been the update with this number.
             if number in new and number not in self.quiet:
                 self._hearing.process_one(record, now, wall)
-                if record.var_id not in self._stored:
-                    self._follow(record.var_id)
+                if number[0] not in self._stored:
+                    self._follow(number[0])
 
     def asked_by(self, neighbour: bytes) -> bool:
         """Return whether a request of a neighbour is open; its payloads then have to be processed."""
@@ -349,18 +381,17 @@ class HearingNode(Node):
             vardis.look()
         self.network_id = self.bp.parameters().get("BPPAR_NETWORK_ID")
 
-    def hear(self, heard: ReceivedBeacon) -> bool:
+    def hear(self, heard: ReceivedBeacon) -> Sequence[Effect] | None:
         """Append a beacon to the waiting ones, and process the records whose numbers are not those of the database.
 
-        Returns False if the beacon has to be processed completely. :meth:`take_effects` has to be called afterwards, as
-        after all inputs.
+        Returns the effects; None if the beacon has to be processed completely.
         """
         beacon = heard.beacon
         waiting, vardis = self.waiting.get(beacon.sender_id), self._vardis
         if beacon.network_id != self.network_id or (vardis is None and beacon.records):
-            return False
+            return None
         if waiting is None and not self._takes_newcomer(beacon):
-            return False
+            return None
         if waiting is None:
             self.waiting[beacon.sender_id] = [heard]
             self.settle_one(beacon.sender_id)
@@ -371,7 +402,8 @@ class HearingNode(Node):
         if vardis is not None and (new := beacon.numbers - vardis.quiet):
             vardis.learn(beacon, new, heard.now, heard.wall)
             self.settle(heard.now, heard.wall)
-        return True
+            return self.take_effects()
+        return ()
 
     def _takes_newcomer(self, beacon: Parsed) -> bool:
         """Return whether a new sender can be taken into the fast path.

@@ -7,6 +7,8 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
+import msgspec
+
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
@@ -213,7 +215,8 @@ class Network(World):
             self.stations.append(self.station(index, config, rng))
             self.medium.switch(index, up=False)
         if share_decoding and self.stations:
-            self.parse = Parser(self.stations[0].config).parse
+            plain = msgspec.structs.replace(self.stations[0].config, codec=codec)
+            self.parse = Parser(plain, self.codec).parse
 
     def station(self, index: int, config: NodeConfig, rng: random.Random) -> NetworkStation:
         """Return a new station."""
@@ -327,17 +330,16 @@ class Network(World):
             station = stations[receiver]
             node = station.hearing
             if node is not None:
+                offset = station.offset
                 try:
-                    done = node.hear(
-                        heard if not station.offset else ReceivedBeacon(beacon, now, wall + station.offset)
-                    )
+                    effects = node.hear(ReceivedBeacon(beacon, now, wall + offset) if offset else heard)
                     # Updates and summaries change no timer.
-                    if done and (effects := node.take_effects()):
+                    if effects:
                         station.apply(effects)
                 except Exception as error:  # the other stations continue
                     station.fail(error)
                     continue
-                if done:
+                if effects is not None:
                     station.beacons_received += 1
                     if station.watchers:
                         station.show(arrival)

@@ -203,7 +203,8 @@ class Simulation:
             status = str(error)
         if status:
             self._problems.append(f"at {self.network.now / NS_PER_S:g} s {what}: {status}")
-        self.measurements.connections_changed()
+        if isinstance(event, Partition | Heal | SetLink):
+            self.measurements.connections_changed()
         self._look()
 
     def _perform(self, event: Event, n: int) -> str:
