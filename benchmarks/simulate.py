@@ -3,8 +3,9 @@
     python benchmarks/simulate.py [--quick] [--json FILE]
 
 Each network is played with nodes that take in known beacons cheaply and, for a shorter time, with plain ones that
-handle each beacon by themselves; the two take turns, and both have to give the same digest. The default scenario:
-10 Hz, a position for each beacon, two variables. The first half of each run is not counted: in it nodes meet.
+handle each beacon by themselves; the two take turns, and both have to give the same digest. 10 Hz, a position for each
+beacon; two variables that hardly change, and in ``updates-100`` 20 variables, each updated every second. The first half
+of each run is not counted: in it nodes meet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from dcp_stack.sim.scenario.defaults import default_scenario
-from dcp_stack.sim.scenario.definition import NS_PER_S, Topology
+from dcp_stack.sim.scenario.definition import NS_PER_S, Create, Scenario, Topology, Tracks, Update
 from dcp_stack.sim.virtual.player import Simulation
 
 #: Name -> nodes, topology, virtual seconds with cheap and with plain nodes.
@@ -27,13 +28,32 @@ NETWORKS = {
     "grid-100": (100, "grid", 10.0, 4.0),
     "full-100": (100, "full", 8.0, 2.0),
     "full-400": (400, "full", 4.0, 0.5),
+    "updates-100": (100, "grid", 10.0, 4.0),
 }
+#: Variables of ``updates-100``.
+VARIABLES = 20
 ROUNDS = 3
 
 
-def played(nodes: int, kind: str, seconds: float, *, shared: bool) -> tuple[float, float, str]:
+def scenario_of(name: str, seconds: float) -> Scenario:
+    """The scenario of a network."""
+    nodes, kind, *_ = NETWORKS[name]
+    topology = Topology(kind=kind)  # type: ignore[arg-type]
+    if not name.startswith("updates"):
+        return default_scenario(nodes, topology=topology, duration_s=seconds)
+    created = [Create(at_s=1.0, node=each * nodes // VARIABLES, variable=each, text="0") for each in range(VARIABLES)]
+    # Spread over the second.
+    updated = [
+        Update(at_s=2.0 + each.variable / VARIABLES, every_s=1.0, node=each.node, variable=each.variable, text="{n}")
+        for each in created
+    ]
+    tracks = (Tracks(source="track:walk,extent=200"),)
+    return Scenario(nodes=nodes, duration_s=seconds, topology=topology, tracks=tracks, events=(*created, *updated))
+
+
+def played(name: str, seconds: float, *, shared: bool) -> tuple[float, float, str]:
     """Virtual seconds in a CPU second, and CPU microseconds for each delivery, of the second half; and the digest."""
-    scenario = default_scenario(nodes, topology=Topology(kind=kind), duration_s=seconds)  # type: ignore[arg-type]
+    scenario = scenario_of(name, seconds)
     simulation = Simulation(scenario, share_decoding=shared)
     network, half = simulation.network, round(seconds / 2 * NS_PER_S)
     network.run_until(half)
@@ -45,18 +65,18 @@ def played(nodes: int, kind: str, seconds: float, *, shared: bool) -> tuple[floa
 
 def measure(name: str, rounds: int) -> dict[str, Any]:
     """Medians of rounds in which both take turns."""
-    nodes, kind, long, short = NETWORKS[name]
+    *_, long, short = NETWORKS[name]
     cheap, plain = [], []
     for _ in range(rounds):
-        cheap.append(played(nodes, kind, long, shared=True))
-        plain.append(played(nodes, kind, short, shared=False))
-    same = played(nodes, kind, short, shared=True)[2] == plain[0][2]
+        cheap.append(played(name, long, shared=True))
+        plain.append(played(name, short, shared=False))
+    same = played(name, short, shared=True)[2] == plain[0][2]
     if not same or len({each[2] for each in cheap}) != 1:
         sys.exit(f"{name}: the digests differ")
     speed, each = (statistics.median(column) for column in list(zip(*cheap, strict=True))[:2])
     ratio = statistics.median(a[0] / b[0] for a, b in zip(cheap, plain, strict=True))
     print(
-        f"  {name:9}  {speed:7.2f} times real time on one core, {each:6.2f} us a delivery; "
+        f"  {name:11}  {speed:7.2f} times real time on one core, {each:6.2f} us a delivery; "
         f"{ratio:5.2f} times as fast as with plain nodes"
     )
     return {"speed_up": speed, "us_per_delivery": each, "ratio": ratio, "digest": cheap[0][2]}

@@ -12,15 +12,18 @@ import math
 import re
 import statistics
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
+import msgspec
 from dcp_spec.markdown import table
 
 from dcp_stack.config import BPConfig, VardisConfig
 from dcp_stack.sim.measuring import DelayRow
 from dcp_stack.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Update
+from dcp_stack.sim.scenario.radio import RadioTable
 from dcp_stack.sim.scenario.report import Report
 from dcp_stack.sim.virtual.player import simulate
 
@@ -73,7 +76,14 @@ class Row:
 
 
 def line(
-    nodes: int, loss: float, repetitions: int, seed: int, updates: int, summaries: int = 0, **link: float
+    nodes: int,
+    loss: float,
+    repetitions: int,
+    seed: int,
+    updates: int,
+    summaries: int = 0,
+    intervals: Literal["uniform", "exponential"] = "uniform",
+    **link: float,
 ) -> Report:
     """Simulate a line whose first node updates a variable."""
     return simulate(
@@ -83,8 +93,12 @@ def line(
             topology=Topology(kind="line"),
             seed=seed,
             srp=False,
-            bp=BPConfig(beacon_period_ms=round(PERIOD_MS), jitter=JITTER),
-            vardis=VardisConfig(max_summaries=summaries),
+            bp=BPConfig(beacon_period_ms=round(PERIOD_MS), jitter=JITTER, intervals=intervals),
+            # While it has nothing to send VarDis looks for new records once in this period. Only exponential intervals
+            # can be shorter than the default, 50 ms.
+            vardis=VardisConfig(
+                max_summaries=summaries, buffer_check_period_ms=1 if intervals == "exponential" else 50
+            ),
             link=LinkQuality(loss=loss, **link),
             events=(
                 Create(at_s=1.0, node=0, variable=1, text="0", repetitions=repetitions),
@@ -144,6 +158,57 @@ def rows(seeds: int, updates: int) -> Iterator[Row]:
     sent = [line(4, 0.0, 3, seed, updates) for seed in numbers]
     beacons = [sum(node.beacons_sent for node in each.traffic) / (updates + 1) for each in sent]
     yield Row("beacons for each value, r = 3, 4 nodes", 12, beacons, 2)
+    yield from radio_rows(numbers, updates)
+
+
+def chatter(nodes: int, seed: int, seconds: float, topology: Topology | None = None, **radio: Any) -> Report:
+    """Simulate nodes that send a beacon at the times of a Poisson process with the rate 1 / B, each with summaries."""
+    return simulate(
+        Scenario(
+            nodes=nodes,
+            duration_s=seconds,
+            topology=topology or Topology(),
+            seed=seed,
+            srp=False,
+            bp=BPConfig(beacon_period_ms=round(PERIOD_MS), intervals="exponential"),
+            radio=RadioTable(**radio),
+            events=tuple(Create(at_s=0.2, node=node, variable=node, text="x") for node in range(nodes)),
+        )
+    )
+
+
+def radio_rows(numbers: Sequence[int], updates: int) -> Iterator[Row]:
+    """Yield the comparisons of radio, exponential intervals and random workloads."""
+    for nodes, airtime_ms in ((5, 1.0), (10, 1.0), (20, 2.0)):
+        reports = [chatter(nodes, 1000 + seed, 2.0 * updates, preamble_us=airtime_ms * 1000) for seed in numbers]
+        share = math.exp(-2 * (nodes - 1) * airtime_ms / PERIOD_MS)
+        what = f"share without overlap, N = {nodes}, a = {airtime_ms:g} ms"
+        yield Row(what, share, [each.shares["delivered"] for each in reports], 3)
+    for rate in (1e-4, 1e-3):
+        reports = [chatter(2, 1100 + seed, 2.0 * updates, bit_error_rate=rate) for seed in numbers]
+        # All beacons have two summaries, once both nodes have both variables.
+        sent = [node for each in reports for node in each.traffic]
+        octets = sum(node.octets_sent for node in sent) / sum(node.beacons_sent for node in sent)
+        share = (1 - rate) ** (8 * octets)
+        sigma = math.sqrt(share * (1 - share) / sum(each.expected for each in reports))
+        what = f"share received, bit error rate {rate:g}, {octets:.1f} octets"
+        yield Row(what, share, [each.shares["delivered"] for each in reports], 3, sigma)
+    table = ((0.0, 0.0), (50.0, 0.2), (150.0, 1.0))
+    for distance, loss in ((25.0, 0.1), (100.0, 0.6)):
+        place = Topology(kind="positions", range_m=200.0, positions=((0.0, 0.0, 0.0), (distance, 0.0, 0.0)))
+        reports = [chatter(2, 1200 + seed, 2.0 * updates, place, loss=table) for seed in numbers]
+        sigma = math.sqrt(loss * (1 - loss) / statistics.fmean(each.expected for each in reports) / len(reports))
+        yield Row(f"share lost at {distance:g} m", loss, [each.shares["lost"] for each in reports], 3, sigma)
+    reports = [line(5, 0.0, 1, 1300 + seed, 4 * updates, intervals="exponential") for seed in numbers]
+    for hops in (1, 4):
+        means = [at(each, hops).mean_ms or 0 for each in reports]
+        sigma = PERIOD_MS * math.sqrt(hops / (4 * updates * len(reports)))
+        yield Row(f"mean delay (ms), exponential intervals, h = {hops}", hops * PERIOD_MS, means, sigma=sigma)
+    workload = Update(at_s=0.0, every_s=2.0, intervals="exponential", node=0, variable=1, text="{n}")
+    random = Scenario(nodes=1, duration_s=3600.0, events=(workload,))
+    # The first one is at the start.
+    counts = [len(msgspec.structs.replace(random, seed=seed).timeline()) - 1.0 for seed in numbers]
+    yield Row("random updates in an hour, one in 2 s", 1800, counts, 0, math.sqrt(1800 / len(counts)))
 
 
 def at(report: Report, hops: int) -> DelayRow:

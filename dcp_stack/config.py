@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 from dcp_spec.catalogue.readings import reading
@@ -53,6 +53,9 @@ class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """BPPAR_NETWORK_ID; None for the profile's value (BP-PAR-05)."""
     jitter: float = 0.1
     """Each interval is the period times a uniform factor in 1 - jitter .. 1 + jitter (BP-TX-02); 0 is strict."""
+    intervals: Literal["uniform", "fixed", "exponential"] = "uniform"
+    """Distribution of the intervals: ``uniform`` as ``jitter`` says, ``fixed`` without jitter, or ``exponential`` with
+    the period as the mean."""
     triggered: bool = False
     """A new payload brings the next beacon forward to now (BP-TXP-07)."""
 

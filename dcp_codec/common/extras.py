@@ -16,6 +16,7 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         **dict.fromkeys(("greenlet", "psutil"), "conformance"),
         "pytest": "pytest",
         **dict.fromkeys(("numba", "numpy", "pyarrow"), "table"),
+        "matplotlib": "plot",
         "duckdb": "duckdb",
         "mcap_ros2": "ros2",
         "distributed": "dask",

@@ -93,8 +93,7 @@ class BeaconingProtocol:
             readings=readings,
             emit=emit,
         )
-        period, jitter = self._parameters.period, config.bp.jitter
-        self._schedule = BeaconSchedule(rng=rng, period=period, jitter=jitter, now=now)
+        self._schedule = BeaconSchedule(rng=rng, period=self._parameters.period, config=config.bp, now=now)
 
     # -- registration -----------------------------------------------------------------------------------------
 

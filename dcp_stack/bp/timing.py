@@ -2,8 +2,8 @@
 
 The specification only asks that the number of beacons in a long time T tends to T / BPPAR_BEACON_PERIOD. Here the
 intervals between the *slots* of a schedule are independent, each the period times a uniform factor in
-1 - jitter .. 1 + jitter, and a slot is planned from the slot before it, not from the time of the call that used
-it:
+1 - jitter .. 1 + jitter (or an exponential one with the mean 1, for studies), and a slot is planned from the slot
+before it, not from the time of the call that used it:
 
 * Independent intervals rather than jitter around a fixed grid: the phases of two nodes drift apart like random walks,
   while on equal grids two nodes that collided once keep the same probability of a collision.
@@ -18,6 +18,8 @@ from __future__ import annotations
 import random
 from typing import Final
 
+from dcp_stack.config import BPConfig
+
 SPACING: Final = 4
 """Beacons are at least 1/4 of an interval apart, late calls and triggers included."""
 
@@ -25,12 +27,14 @@ SPACING: Final = 4
 class BeaconSchedule:
     """The slots of one node, in monotonic ns."""
 
-    def __init__(self, *, rng: random.Random, period: int, jitter: float, now: int) -> None:
-        """``period`` in ns, at least 1; ``jitter`` 0 (strict) .. below 1, else ValueError."""
+    def __init__(self, *, rng: random.Random, period: int, config: BPConfig, now: int) -> None:
+        """``period`` in ns, at least 1; the jitter of ``config`` is 0 (strict) .. below 1, else ValueError."""
+        jitter = config.jitter
         if not 0 <= jitter < 1:
             raise ValueError(f"jitter must be in 0..1 without 1, not {jitter!r}")
         self._rng = rng
-        self._jitter = jitter
+        self._jitter = 0.0 if config.intervals == "fixed" else jitter
+        self._exponential = config.intervals == "exponential"
         self._period = period
         self._sent_at: int | None = None
         self.due = 0
@@ -50,7 +54,10 @@ class BeaconSchedule:
 
     def _plan(self) -> None:
         ##= BP-TX-02
-        self._factor = self._rng.uniform(1 - self._jitter, 1 + self._jitter)
+        if self._exponential:
+            self._factor = self._rng.expovariate(1.0)
+        else:
+            self._factor = self._rng.uniform(1 - self._jitter, 1 + self._jitter)
         self._place()
 
     def _place(self) -> None:

@@ -179,7 +179,10 @@ def command(
         raise ExpectedError(str(error)) from None
     except OSError as error:
         raise ExpectedError(f"{record}: {error.strerror}") from None
-    report = simulation.run()
+    try:
+        report = simulation.run()
+    except ScenarioError as error:
+        raise ExpectedError(f"{scenario or 'simulation'}: {error}") from None
     click.echo(json.dumps(report.plain(), indent=2) if as_json else "\n".join(lines(report)))
     if values is not None:
         _write_values(simulation, values)

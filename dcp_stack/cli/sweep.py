@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import shutil
@@ -10,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,8 +18,8 @@ from dcp_codec.common.commandline import ExpectedError
 from .common import note, table_lines
 
 if TYPE_CHECKING:
-    from dcp_stack.sim.sweep.plan import Run, Study
-    from dcp_stack.sim.sweep.results import Estimate, Outcome, Summary
+    from dcp_stack.sim.sweep.plan import Run
+    from dcp_stack.sim.sweep.results import Estimate, Outcome
 
 DIFFERENT, INCOMPLETE = 1, 4
 #: Seeds after which ``--until-ci`` ends.
@@ -61,12 +60,14 @@ def command(
 ) -> int:
     """Run STUDY, a scenario (docs/scenarios.md) with a table [sweep]: lists of values by the keys of the scenario.
 
-    Writes runs.jsonl as it goes, and at the end table.csv, plot.svg, runs.csv, runs.parquet (extra
-    'table') and bundle.json.
+    Writes runs.jsonl as it goes, and at the end table.csv, runs.csv, bundle.json, runs.parquet (extra 'table'), and
+    plot.svg, plot.png and page.html (extra 'plot').
     """
     import msgspec
 
     from dcp_stack.sim.scenario.definition import ScenarioError
+    from dcp_stack.sim.sweep.output import notes, write_page, write_parquet, write_tables
+    from dcp_stack.sim.sweep.output import table as table_for_people
     from dcp_stack.sim.sweep.plan import load_study
     from dcp_stack.sim.sweep.results import farthest, stored, summaries
 
@@ -88,7 +89,7 @@ def command(
             own = [
                 msgspec.structs.replace(done[run.key], cell=run.cell, seed=run.seed) for run in runs if run.key in done
             ]
-            table = summaries(own)
+            table = summaries(own, found.preceding())
             wide = {
                 each.cell
                 for each in farthest(table)
@@ -100,7 +101,15 @@ def command(
             found = msgspec.structs.replace(found, seeds=min(2 * found.seeds, _MOST_SEEDS))
             planned = {run.key for run in runs}
             runs += [run for run in found.runs(str(study)) if run.cell in wide and run.key not in planned]
-        _write(found, own, table, folder)
+        names = ["runs.jsonl", *write_tables(found, own, table, folder)]
+        for write, what, extra in (
+            (write_parquet, "runs.parquet needs", "table"),
+            (write_page, "plot.svg, plot.png and page.html need", "plot"),
+        ):
+            try:
+                names += write(found, own, table, folder)
+            except ImportError:
+                note(f"{what} the extra {extra!r}: pip install 'dcp-conformance-kit[{extra}]'")
     except ScenarioError as error:
         raise ExpectedError(str(error)) from None
     except OSError as error:
@@ -108,10 +117,14 @@ def command(
     cpu = sum(each.cpu_s for each in own)
     took = time.monotonic() - begun
     click.echo(f"{len(own)} of {len(runs)} runs ({resumed} resumed), {cpu:.1f} CPU s, {took:.1f} s\n")
-    click.echo("\n".join(_shown(found, farthest(table))))
+    header, lines = table_for_people(found, table)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    click.echo("\n".join(table_lines(header, lines, width) if lines else ["no values were produced"]))
+    for each in notes(found, table):
+        click.echo(each)
     if unmet := sum(not each.met for each in own):
         click.echo(f"\n{unmet} runs do not meet the expectations of the scenario")
-    click.echo(f"\n{folder}: runs.jsonl, runs.csv, table.csv, plot.svg, bundle.json" + _parquet(found, own, folder))
+    click.echo(f"\n{folder}: {', '.join(names)}")
     return 0 if complete else INCOMPLETE
 
 
@@ -169,83 +182,3 @@ def _verify(runs: Sequence[Run], path: Path, jobs: int | None) -> int:
     if others:
         note(f"{others} runs of the bundle are not runs of this study and version")
     return DIFFERENT if different or others else 0
-
-
-def _shown(study: Study, found: Sequence[Summary]) -> list[str]:
-    """Return the table for the terminal: for each cell the farthest nodes."""
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    header = [*(key.rpartition(".")[2] for key in study.axes), "hops", "share", "delay ms", "newest", "n"]
-    lines = [
-        [
-            *(str(study.cells[each.cell][key]) for key in study.axes),
-            str(each.hops),
-            "-" if each.share is None else each.share.text(3),
-            "-" if each.delay_ms is None else each.delay_ms.text(1) + (" *" if each.few else ""),
-            "-" if each.newest is None else each.newest.text(3),
-            str(each.seeds),
-        ]
-        for each in found
-    ]
-    table = table_lines(header, lines, width) if lines else ["no values were produced"]
-    marked = (
-        [f"* {sum(each.few for each in found)} cells with fewer than 10 receptions"]
-        if any(each.few for each in found)
-        else []
-    )
-    return [*table, *marked]
-
-
-def _write(study: Study, outcomes: Sequence[Outcome], table: Sequence[Summary], folder: Path) -> None:
-    """Write the tables and the bundle."""
-    from dcp_spec.version import __version__
-
-    from dcp_stack.sim.sweep.plot import svg
-    from dcp_stack.sim.sweep.results import farthest, rows
-
-    lines: list[dict[str, Any]] = []
-    for each in table:
-        line: dict[str, Any] = {**study.cells[each.cell], "kind": each.kind, "hops": each.hops, "seeds": each.seeds}
-        line |= {"received": each.received, "few": each.few}
-        for name in ("share", "delay_ms", "newest"):
-            estimate = getattr(each, name)
-            line[name] = None if estimate is None else estimate.mean
-            line[f"{name}_ci95"] = None if estimate is None else estimate.half
-        lines.append(line)
-    _csv(folder / "table.csv", lines)
-    _csv(folder / "runs.csv", list(rows(study, outcomes)))
-    if (plot := svg(study, farthest(table))) is not None:
-        (folder / "plot.svg").write_text(plot, encoding="utf-8")
-    bundle = {
-        "study": study.raw,
-        "kit_version": __version__,
-        "python_version": sys.version.split()[0],
-        "seeds": study.seeds,
-        "digests": {each.key: each.digest for each in outcomes},
-    }
-    (folder / "bundle.json").write_text(json.dumps(bundle, indent=1) + "\n", encoding="utf-8")
-
-
-def _csv(path: Path, lines: Sequence[dict[str, Any]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(lines[0]) if lines else [])
-        writer.writeheader()
-        writer.writerows(lines)
-
-
-def _parquet(study: Study, outcomes: Sequence[Outcome], folder: Path) -> str:
-    """Write the rows of all runs as Parquet if pyarrow is installed; returns the name for the list of files."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        return " (runs.parquet needs the extra 'table')"
-    from dcp_stack.sim.sweep.results import rows
-
-    found = list(rows(study, outcomes))
-    columns = {
-        # Values of different types in one list, such as numbers and texts, are texts.
-        key: [str(each[key]) if isinstance(each[key], dict | list) else each[key] for each in found]
-        for key in (found[0] if found else ())
-    }
-    pyarrow.parquet.write_table(pyarrow.table(columns), folder / "runs.parquet")
-    return ", runs.parquet"

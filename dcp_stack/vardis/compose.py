@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
@@ -70,7 +70,6 @@ class Composer:
         ##= VD-CMP-14
         if self._purge:
             self._database.purge()
-        take = self._take_filled if self._own_fields else self._take
         largest = room - self._sizes.ic_header
         containers: list[Container] = []
         for kind, queue in self._order:
@@ -80,7 +79,7 @@ class Composer:
             chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
             # Records are built before the next queue is read: building them changes queues (VD-CMP-06 to VD-CMP-12).
-            records = [take(kind, var_id) for var_id in chosen]
+            records = self._take_all(kind, chosen)
             ##= VD-PAY-05
             for first in range(0, len(records), IC_MAX_RECORDS):
                 group = tuple(records[first : first + IC_MAX_RECORDS])
@@ -174,6 +173,11 @@ class Composer:
         database.summary_q.rotate(var_id)
         ##= VD-CMP-04
         return VarSumm(var_id, entry.seqno)
+
+    def _take_all(self, kind: ContainerType, chosen: list[int]) -> Sequence[VardisRecord | OwnRecord]:
+        """Return the records of variables, and count them as sent."""
+        take = self._take_filled if self._own_fields else self._take
+        return [take(kind, var_id) for var_id in chosen]
 
     def _take_filled(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
         """Return :meth:`_take` with the values of fields that the profile adds to records."""

@@ -134,8 +134,9 @@ class Delivery:
         """Remove requests, the unconfirmed update and the later creation of a variable."""
         self._waiting.pop(var_id, None)
         self._superseded.discard(var_id)
-        for key in [key for key in self._asked if key[1] == var_id]:
-            del self._asked[key]
+        if self._asked:
+            for key in [key for key in self._asked if key[1] == var_id]:
+                del self._asked[key]
 
     # -- received records ---------------------------------------------------------------------------------------
 
@@ -156,6 +157,10 @@ class Delivery:
         """Note that the neighbour :attr:`peer` has the variable with the same sequence number as this node."""
         if self._asked:
             self._asked.pop((self.peer, var_id), None)
+
+    def awaits(self, var_id: int) -> bool:
+        """Return whether an update of this node waits for a summary of it."""
+        return var_id in self._waiting
 
     def summary_of_own(self, var_id: int, seqno: int) -> None:
         """Process the sequence number in a neighbour's summary of a variable of this node."""

@@ -4,7 +4,8 @@ Order of calls: :meth:`Medium.broadcast` any number of times, :meth:`Medium.poll
 arrival, and :meth:`Medium.arrivals` at that time. The medium reads no clock: a simulation passes virtual time, the
 relay real time. The results depend only on the seed, the configuration and these calls.
 
-There are two kinds, and in both the traffic of other stations does not change the outcome for a frame.
+There are two kinds here, and in both the traffic of other stations does not change the outcome for a frame. In a medium
+with a radio (``radio.py``) it does.
 :class:`SimulatedMedium` is cheap for many stations: each sender has one random generator, which is used for its
 receivers in ascending order. In :class:`ImpairedMedium` each direction has its own ``Channel``, which keeps frames in
 order and counts them.
@@ -43,13 +44,15 @@ class Arrival(NamedTuple):
     """Stations in ascending order; after the flight those that are connected."""
     octets: bytes
     sent: int
+    on_air: Any = None
+    """The transmission, in a medium with a radio (:mod:`dcp_stack.virtual.radio`)."""
 
 
 class MediumCounters(msgspec.Struct):
     """Counters of frames. ``expected`` is the number of deliveries of a perfect medium: all neighbours, for each frame.
 
-    ``expected + duplicated == lost + missed + delivered`` plus the deliveries still in flight; ``missed`` are those to
-    stations that were disconnected.
+    ``expected + duplicated == lost + overlapped + missed + delivered`` plus the deliveries still in flight; ``missed``
+    are those to stations that were disconnected.
     """
 
     frames: int = 0
@@ -60,6 +63,8 @@ class MediumCounters(msgspec.Struct):
     missed: int = 0
     corrupted: int = 0
     """Of the frames that were not lost, those in which bits were inverted."""
+    overlapped: int = 0
+    """Lost because another transmission reached the receiver at the same time."""
 
 
 class TraceDigest:

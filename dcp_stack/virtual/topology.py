@@ -140,6 +140,11 @@ class Positions:
         """Return the position of ``node``; None if it has none."""
         return self._positions[node]
 
+    def distance(self, one: int, other: int) -> float | None:
+        """Return the distance of two nodes; None if one of them has no position."""
+        here, there = self._positions[one], self._positions[other]
+        return None if here is None or there is None else math.dist(here, there)
+
     def neighbours(self, sender: int, count: int) -> Iterable[int]:
         """Return the nodes within range of ``sender``."""
         here = self._positions[sender] if sender < len(self._positions) else None

@@ -24,7 +24,19 @@ COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance, selftest)
 #: Of extras, of the tests, or slow: for those who ask for what needs them.
 HEAVY = frozenset(
     (
-        *("scapy", "numba", "numpy", "pyarrow", "pandas", "polars", "duckdb", "distributed", "bokeh", "psutil"),
+        *(
+            "scapy",
+            "numba",
+            "numpy",
+            "pyarrow",
+            "pandas",
+            "polars",
+            "duckdb",
+            "distributed",
+            "bokeh",
+            "psutil",
+            "matplotlib",
+        ),
         *("hypothesis", "pytest", "jinja2", "prometheus_client", "pymavlink", "yaml", "asyncio", "http.server"),
     )
 )

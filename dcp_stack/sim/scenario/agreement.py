@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -29,7 +28,8 @@ class Agreement:
         self._known: list[dict[int, Known]] = [{} for _ in range(nodes)]
         self._present = [False] * nodes
         self._count = 0
-        self._states: dict[int, Counter[Known]] = {}
+        self._states: dict[int, dict[Known, int]] = {}
+        """By variable the number of present nodes with each state."""
         self._disputed: set[int] = set()
 
     @property
@@ -70,12 +70,15 @@ class Agreement:
     def learn(self, node: int, var_id: int, state: Known | None) -> None:
         """Set the state of a variable at a node; None if it is unknown or deleted there."""
         known, present = self._known[node], self._present[node]
-        before = known.pop(var_id, None)
-        if present and before is not None:
-            self._count_state(var_id, before, -1)
+        before = known.get(var_id)
         if state is not None:
             known[var_id] = state
-            if present:
+        elif before is not None:
+            del known[var_id]
+        if present:
+            if before is not None:
+                self._count_state(var_id, before, -1)
+            if state is not None:
                 self._count_state(var_id, state, 1)
         self._judge(var_id)
 
@@ -89,9 +92,13 @@ class Agreement:
 
     def _count_state(self, var_id: int, state: Known, by: int) -> None:
         """Change the number of present nodes that have this state of a variable."""
-        states = self._states.setdefault(var_id, Counter())
-        states[state] += by
-        if not states[state]:
+        states = self._states.get(var_id)
+        if states is None:
+            states = self._states[var_id] = {}
+        count = states.get(state, 0) + by
+        if count:
+            states[state] = count
+        else:
             del states[state]
 
     def _judge(self, var_id: int) -> None:

@@ -5,6 +5,7 @@ Nodes are numbers from 0, times are seconds since the start, octets are text or 
 
 from __future__ import annotations
 
+import random
 from typing import ClassVar, Literal, TypeVar
 
 import msgspec
@@ -14,6 +15,8 @@ from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.virtual.quality import Quality
 from dcp_stack.virtual.topology import Full, Grid, Line, Neighbours, Positions
 from dcp_stack.virtual.topology import Topology as HeardBy
+
+from .radio import RadioTable
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -162,7 +165,10 @@ def grid_columns(count: int) -> int:
 
 
 class Event(Strict, tag_field="do", kw_only=True, frozen=True):
-    """An event at ``at_s``; ``every_s`` repeats it until it has occurred ``times`` times, by default until the end."""
+    """An event at ``at_s``; ``every_s`` repeats it until it has occurred ``times`` times, by default until the end.
+
+    With ``intervals = "exponential"`` the repetitions are a Poisson process with the mean interval ``every_s``.
+    """
 
     #: Whether it changes variables or the connections between databases; convergence is measured from such events.
     disturbs: ClassVar[bool] = False
@@ -170,6 +176,7 @@ class Event(Strict, tag_field="do", kw_only=True, frozen=True):
     at_s: float
     every_s: float | None = None
     times: int | None = None
+    intervals: Literal["fixed", "exponential"] = "fixed"
 
 
 class Content(Event, kw_only=True, frozen=True):
@@ -395,6 +402,8 @@ class Scenario(Strict, kw_only=True, frozen=True):
     link: LinkQuality = PERFECT
     """The quality of all connections that are not in ``links``."""
     links: tuple[LinkBetween, ...] = ()
+    radio: RadioTable | None = None
+    """Airtime, overlap, and losses by length and distance, in simulations; None: none of them."""
     bp: BPConfig = BPConfig()
     srp: SRPConfig | bool = True
     vardis: VardisConfig | bool = True
@@ -432,12 +441,17 @@ class Scenario(Strict, kw_only=True, frozen=True):
         They are sorted by time, then in the order of the file.
         """
         found: list[tuple[int, int, Action]] = []
-        for event in self.events:
-            time, n = round(event.at_s * NS_PER_S), 0
-            while time <= self.duration and (n == 0 or (event.every_s and (event.times is None or n < event.times))):
+        for index, event in enumerate(self.events):
+            # Each event has its own generator: events that are added do not change the times of the others.
+            draws = random.Random(f"{self.seed}/event/{index}")  # noqa: S311 - runs have to be repeatable
+            period, at_s, n = event.every_s or 0.0, event.at_s, 0
+            while (time := round(at_s * NS_PER_S)) <= self.duration:
                 found.append((time, n, event))
                 n += 1
-                time = round((event.at_s + n * (event.every_s or 0)) * NS_PER_S)
+                if not period or n == event.times:
+                    break
+                exponential = event.intervals == "exponential"
+                at_s = at_s + draws.expovariate(1 / period) if exponential else event.at_s + n * period
         return sorted(found, key=lambda each: each[0])
 
 

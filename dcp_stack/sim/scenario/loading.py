@@ -20,6 +20,7 @@ from dcp_spec.profile.loading import ProfileError
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.node import Node
+from dcp_stack.virtual.radio import RadioError
 from dcp_stack.virtual.world import node_id
 
 from .definition import (
@@ -41,6 +42,7 @@ from .definition import (
     Tracks,
     VariableIs,
 )
+from .radio import RadioTable, located
 
 MAX_NODES = 10_000
 MAX_DURATION_S = 30 * 86_400.0
@@ -63,13 +65,15 @@ def load_scenario(path: str | Path, settings: Mapping[str, object] = NO_SETTINGS
 def scenario_from(raw: dict[str, Any], where: str, folder: Path | None = None) -> Scenario:
     """Return the scenario with the content of a file. Raises :class:`ScenarioError`.
 
-    Paths of profiles and topologies are relative to ``folder``, that of the scenario.
+    Paths of profiles, topologies and models of a radio are relative to ``folder``, that of the scenario.
     """
-    topology, profile = raw.get("topology"), raw.get("profile")
+    topology, profile, radio = raw.get("topology"), raw.get("profile"), raw.get("radio")
     if isinstance(topology, str):
         raw["topology"] = msgspec.to_builtins(parse_topology(topology, folder))
     if folder is not None and isinstance(profile, str) and profile.endswith(".toml") and (folder / profile).exists():
         raw["profile"] = str(folder / profile)
+    if folder is not None and isinstance(radio, dict):
+        raw["radio"] = located(radio, folder)
     return check(_convert(raw, Scenario, where), where)
 
 
@@ -191,6 +195,7 @@ _TABLES: dict[str, type[msgspec.Struct]] = {
     "topology": Topology,
     "link": LinkQuality,
     "links[...]": LinkBetween,
+    "radio": RadioTable,
     "bp": BPConfig,
     "srp": SRPConfig,
     "vardis": VardisConfig,
@@ -244,6 +249,7 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
         yield from _node_problems(scenario, f"links[{index}].from", (link.sender,))
         yield from _node_problems(scenario, f"links[{index}].to", (link.receiver,))
         yield from _quality_problems(f"links[{index}].quality", link.quality)
+    yield from _radio_problems(scenario)
     for index, track in enumerate(scenario.tracks):
         yield from _node_problems(scenario, f"tracks[{index}].nodes", track.nodes or ())
         if track.source.partition(":")[0] in ("stdin", "mavlink"):
@@ -299,6 +305,21 @@ def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:
         yield key, str(error)
 
 
+def _radio_problems(scenario: Scenario) -> Iterator[Problem]:
+    """Yield the first value of the radio that is out of range. The model is loaded when the scenario is run."""
+    radio = scenario.radio
+    if radio is None:
+        return
+    if not 0 <= radio.preamble_us < math.inf:
+        yield "radio.preamble_us", f"must be finite and at least 0, not {radio.preamble_us:g}"
+    try:
+        radio.radio(with_model=False)
+    except RadioError as error:
+        yield "radio", str(error)
+    if radio.loss and scenario.topology.kind != "positions":
+        yield "radio.loss", 'distances need positions: a [topology] with kind = "positions" and its range_m'
+
+
 def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Problem]:
     """Yield the inconsistencies of one event."""
     if not 0 <= event.at_s <= scenario.duration_s:
@@ -308,6 +329,8 @@ def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Prob
         yield f"{key}.every_s", f"must be finite and at least {_SHORTEST_S:g} s, not {event.every_s:g}"
     if event.times is not None and (event.times < 1 or event.every_s is None):
         yield f"{key}.times", "must be at least 1, and requires every_s"
+    if event.intervals != "fixed" and event.every_s is None:
+        yield f"{key}.intervals", "requires every_s, the mean interval"
     node = getattr(event, "node", None)
     if isinstance(node, int):
         yield from _node_problems(scenario, f"{key}.node", (node,))

@@ -41,7 +41,9 @@ class Provenance(msgspec.Struct, frozen=True):
         profile = msgspec.json.encode(codec.profile, order="sorted", enc_hook=str)
         parameters = effective_parameters(scenario, codec)
         hashed = {**plain, "parameters": parameters}
-        # The hash covers the content of the profile, not the path of its file. The title has no effect on the run.
+        if scenario.radio is not None and (model := scenario.radio.model_sha256()) is not None:
+            hashed["radio"] = {**plain["radio"], "model": model}
+        # The hash covers the content of profile and model, not the paths of their files. The title has no effect.
         for key in ("seed", "title", "profile"):
             del hashed[key]
         return cls(

@@ -17,7 +17,7 @@ from dcp_stack.sim.scenario.provenance import Provenance
 #: Maximum number of runs, so that a mistyped list does not plan for ever.
 MOST_RUNS = 1_000_000
 #: Keys of ``[sweep]`` that are not keys of the scenario.
-_OWN = ("seeds", "zipped")
+_OWN = ("seeds", "zipped", "compare")
 
 
 class Run(NamedTuple):
@@ -30,17 +30,38 @@ class Run(NamedTuple):
 
 
 class Study(msgspec.Struct, frozen=True, kw_only=True):
-    """A study. ``cells``: the values of each combination, by their dotted keys. ``raw``: the content of the file."""
+    """A study. ``cells``: the values of each combination, by their dotted keys. ``raw``: the content of the file.
+
+    ``compare``: the key for whose values paired differences are computed; None without keys.
+    """
 
     raw: dict[str, Any]
     folder: str
     cells: tuple[dict[str, Any], ...]
     seeds: int
+    compare: str | None = None
 
     @property
     def axes(self) -> tuple[str, ...]:
         """The keys that have several values."""
         return tuple(self.cells[0])
+
+    def preceding(self) -> dict[int, int]:
+        """Return for each cell the one with the preceding value of ``compare`` and otherwise equal values.
+
+        Zipped lists vary together, so there it is the cell before it.
+        """
+        if self.compare is None:
+            return {}
+        if self.raw["sweep"].get("zipped", False):
+            return {cell: cell - 1 for cell in range(1, len(self.cells))}
+        values = self.raw["sweep"][self.compare]
+        found = {}
+        for number, cell in enumerate(self.cells):
+            place = values.index(cell[self.compare])
+            if place:
+                found[number] = self.cells.index({**cell, self.compare: values[place - 1]})
+        return found
 
     def runs(self, where: str) -> list[Run]:
         """Return all runs, cell by cell. Raises :class:`ScenarioError` with the values of an invalid combination."""
@@ -80,6 +101,10 @@ def study_from(raw: dict[str, Any], folder: Path, where: str, seeds: int | None 
     for key, values in axes.items():
         if not isinstance(values, list) or not values:
             raise ScenarioError(f"{where}: sweep.{key}: must be a list of at least one value (quote keys with dots)")
+    # By default the lines of the plot.
+    compare = sweep.get("compare", (list(axes)[1:2] or list(axes) or [None])[0])
+    if compare is not None and compare not in axes:
+        raise ScenarioError(f"{where}: sweep.compare: {compare!r} is not one of the keys {', '.join(axes)}")
     zipped, count = sweep.get("zipped", False), seeds if seeds is not None else sweep.get("seeds", 1)
     if not isinstance(zipped, bool):
         raise ScenarioError(f"{where}: sweep.zipped: must be true or false")
@@ -91,4 +116,9 @@ def study_from(raw: dict[str, Any], folder: Path, where: str, seeds: int | None 
     cells = tuple(dict(zip(axes, values, strict=True)) for values in itertools.islice(combined, MOST_RUNS + 1))
     if len(cells) * count > MOST_RUNS:
         raise ScenarioError(f"{where}: sweep: more than {MOST_RUNS:,} runs")
-    return Study(raw=raw, folder=str(folder), cells=cells or ({},), seeds=count)
+    return Study(raw=raw, folder=str(folder), cells=cells or ({},), seeds=count, compare=compare)
+
+
+def short(key: str) -> str:
+    """Return the last part of a dotted key."""
+    return key.rpartition(".")[2]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import msgspec
@@ -103,9 +104,11 @@ class Estimate(msgspec.Struct, frozen=True):
         t = _T[free - 1] if free <= len(_T) else statistics.NormalDist().inv_cdf(0.975)
         return cls(statistics.fmean(values), t * statistics.stdev(values) / math.sqrt(len(values)))
 
-    def text(self, digits: int) -> str:
+    def text(self, digits: int, *, signed: bool = False) -> str:
         """Return ``mean +- half``."""
-        return f"{self.mean:.{digits}f}" + ("" if self.half is None else f" +- {self.half:.{digits}f}")
+        return f"{self.mean:{'+' if signed else ''}.{digits}f}" + (
+            "" if self.half is None else f" +- {self.half:.{digits}f}"
+        )
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -119,6 +122,9 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     share: Estimate | None
     delay_ms: Estimate | None
     newest: Estimate | None
+    differences: dict[str, Estimate] = {}
+    """Mean differences of share, delay_ms and newest from the preceding cell (:meth:`Study.preceding`), in pairs of
+    runs with the same seed."""
 
     @property
     def few(self) -> bool:
@@ -126,8 +132,19 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
         return self.received < FEW
 
 
-def summaries(outcomes: Iterable[Outcome]) -> list[Summary]:
-    """Return the summaries of all cells, sorted by cell, kind and distance."""
+#: The measures of a run at one distance.
+_MEASURES: Final[dict[str, Callable[[Outcome, DelayRow], float | None]]] = {
+    "share": lambda _, delay: delay.share,
+    "delay_ms": lambda _, delay: delay.mean_ms,
+    "newest": lambda outcome, _: outcome.newest,
+}
+
+
+def summaries(outcomes: Iterable[Outcome], preceding: Mapping[int, int] = MappingProxyType({})) -> list[Summary]:
+    """Return the summaries of all cells, sorted by cell, kind and distance.
+
+    ``preceding``: for cells, the one from which they have differences.
+    """
     groups: dict[tuple[int, str, int], list[tuple[Outcome, DelayRow]]] = {}
     for each in sorted(outcomes, key=lambda outcome: (outcome.cell, outcome.seed)):
         for delay in each.delays:
@@ -140,12 +157,28 @@ def summaries(outcomes: Iterable[Outcome]) -> list[Summary]:
             hops=found[0][1].hops,
             seeds=len(found),
             received=sum(delay.received for _, delay in found),
-            share=Estimate.of([delay.share for _, delay in found]),
-            delay_ms=Estimate.of([delay.mean_ms for _, delay in found if delay.mean_ms is not None]),
-            newest=Estimate.of([each.newest for each, _ in found if each.newest is not None]),
+            differences=_differences(found, groups.get((preceding.get(cell, -1), kind, hops), [])),
+            **{name: Estimate.of([*_by_seed(found, measure).values()]) for name, measure in _MEASURES.items()},
         )
-        for (cell, kind, _), found in sorted(groups.items(), key=lambda item: item[0])
+        for (cell, kind, hops), found in sorted(groups.items(), key=lambda item: item[0])
     ]
+
+
+_Found = Sequence[tuple[Outcome, DelayRow]]
+
+
+def _by_seed(found: _Found, measure: Callable[[Outcome, DelayRow], float | None]) -> dict[int, float]:
+    """Return the values of a measure by the seeds of runs that have it."""
+    return {each.seed: value for each, delay in found if (value := measure(each, delay)) is not None}
+
+
+def _differences(found: _Found, before: _Found) -> dict[str, Estimate]:
+    """Return the differences of runs with the same seed: equal random numbers cancel out."""
+    estimates = {}
+    for name, measure in _MEASURES.items():
+        here, there = _by_seed(found, measure), _by_seed(before, measure)
+        estimates[name] = Estimate.of([value - there[seed] for seed, value in here.items() if seed in there])
+    return {name: each for name, each in estimates.items() if each is not None}
 
 
 def farthest(found: Sequence[Summary]) -> list[Summary]:

@@ -78,6 +78,8 @@ class Testbed:
             )
         if any(isinstance(event, Clock) for event in scenario.events):
             raise ScenarioError("events: a testbed cannot set the clocks of its nodes; clock is for simulations only")
+        if scenario.radio is not None:
+            raise ScenarioError("radio: a testbed has no radio; use [link] for losses, or dcp-node simulate")
         codec = scenario_codec(scenario)
         check_nodes(scenario, codec)
         self.profile = codec.profile

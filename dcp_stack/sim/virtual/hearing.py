@@ -1,12 +1,11 @@
 """Nodes with a fast path for known beacons, with the same outcome as :class:`~dcp_stack.node.Node`.
 
 Most received beacons change only statistics: they come from a known neighbour, and their VarDis records have the
-values that the node already has. In a large network they cause nearly all of the work. Such a beacon is decoded once
-for all its receivers (:class:`Parsed`), and each receiver only appends it to a list. The node updates loss estimates,
-neighbour table and counters from the list when they are read, or when the list becomes long.
-
-A VarDis payload is known after it was processed once and all its records were ignored: the same octets are ignored
-again until the database changes. ``tests/stack/sim/test_hearing.py`` compares these nodes with plain ones.
+numbers that the node already has. In a large network they cause nearly all of the work. A beacon with updates and
+summaries is decoded once for all its receivers (:class:`Parsed`), and each receiver appends it to a list and processes
+the records that have other numbers than its own variables. The node updates loss estimates, neighbour table and
+counters from the list when they are read, or when the list becomes long. ``tests/stack/sim/test_hearing.py`` compares
+these nodes with plain ones.
 """
 
 from __future__ import annotations
@@ -14,18 +13,16 @@ from __future__ import annotations
 import functools
 import random
 from collections import Counter
-from collections.abc import Callable
-from itertools import chain
+from collections.abc import Callable, Sequence
+from itertools import chain, islice
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.parameters import Violation
-from dcp_spec.status import BPStatus
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, IC_MAX_RECORDS, ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.values import ExtendedSafetyData, VarSumm
+from dcp_codec.values import ExtendedSafetyData, OwnRecord, VardisRecord, VarSumm, VarUpdate
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.statistics import NeighbourLoss
@@ -36,16 +33,15 @@ from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
-from dcp_stack.vardis.database import DBEntry
-from dcp_stack.vardis.entity import Vardis, VardisState
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.database import IdQueue
+from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
-from dcp_stack.vardis.state_table import Action, Cell
+from dcp_stack.vardis.wire import ContainerType
 
 #: Maximum number of waiting beacons of one sender before a node adds them to its statistics.
 MOST_WAITING: Final = 64
-#: Maximum number of known payloads of a node.
-MOST_KNOWN: Final = 1024
-#: Readings that have no effect on beacons without an effect: what VarDis ignores once it ignores again.
+#: Readings that have no effect on the fast path: whatever they are, VarDis ignores records with the stored number.
 VARDIS_READINGS: Final = frozenset(
     "X14 X17 X20 X21 X23 X26 X27 X28 X34 X36 X37 X38 X39 X41 X54".split()  # noqa: SIM905 - a list of identifiers
 )
@@ -53,17 +49,24 @@ VARDIS_READINGS: Final = frozenset(
 _PARSED: Final = 4096
 
 
+#: A variable and a sequence number.
+Number = tuple[int, int]
+
+
 class Parsed(msgspec.Struct, frozen=True, gc=False):
     """A valid beacon with at most one report of its sender, at most one VarDis payload, and no other payloads.
 
-    ``octets``: length of the frame. ``blocks``: protocol identifiers of its payloads.
+    The payload has no other ``records`` than updates and summaries, here with their numbers in the order in which they
+    are processed; ``numbers`` are all of these. Both are empty without a payload. ``octets``: length of the frame.
+    ``blocks``: protocol identifiers of its payloads.
     """
 
     sender_id: bytes
     seqno: int
     network_id: int | None
     report: ExtendedSafetyData | None
-    vardis: bytes | None
+    records: list[tuple[Number, VarUpdate | VarSumm]]
+    numbers: frozenset[Number]
     octets: int
     blocks: tuple[int, ...]
 
@@ -82,10 +85,12 @@ class Parser:
     ``parse`` returns None for a beacon that does not fit :class:`Parsed`; each receiver then processes it completely.
     """
 
-    def __init__(self, config: NodeConfig) -> None:
-        """``config``: the configuration of any node of the network."""
-        self._codec: Codec = config.codec
+    def __init__(self, config: NodeConfig, shared: Codec) -> None:
+        """``config``: that of any node of the network. ``shared`` has the containers that the nodes have encoded."""
+        self._codec, self._shared = config.codec, shared
         self._wire = BPWire(config)
+        self._numbered = [config.container_numbers[kind] for kind in (ICType.UPDATES, ICType.SUMMARIES)]
+        """The container types of :attr:`Parsed.records`, in the order in which they are processed."""
         self.parse = functools.lru_cache(_PARSED)(self._parse)
 
     def _parse(self, octets: bytes) -> Parsed | None:
@@ -107,15 +112,31 @@ class Parser:
                 return None
         if not all(payloads.values()):
             return None
+        payload = payloads.get(BP_PROTID_VARDIS)
+        records = [] if payload is None else self._records(payload)
+        if records is None:
+            return None
         return Parsed(
             header.sender_id,
             header.seqno,
             header.network_id,
             report,
-            payloads.get(BP_PROTID_VARDIS),
+            records,
+            frozenset([number for number, _ in records]),
             len(octets),
-            tuple(block.protocol_id for block in found.blocks),
+            tuple([block.protocol_id for block in found.blocks]),
         )
+
+    def _records(self, payload: bytes) -> list[tuple[Number, VarUpdate | VarSumm]] | None:
+        """Return the records of a payload; None if it is invalid or has other records than updates and summaries."""
+        try:
+            containers = self._shared.decode_containers(payload)
+        except DecodeError:
+            return None
+        if any(each.ic_type not in self._numbered for each in containers):
+            return None
+        ordered = [each.records for kind in self._numbered for each in containers if each.ic_type == kind]
+        return [((each.var_id, each.seqno), each) for records in ordered for each in records]
 
 
 class HearingBP(BeaconingProtocol):
@@ -223,94 +244,96 @@ class HearingSRP(StateReporting):
 
 
 class HearingReceiver(Receiver):
-    """A receiver that notes whether a payload had any effect."""
+    """A receiver that can process single records."""
 
-    quiet = True
-    """Whether all records of the current payload were ignored so far."""
+    def process_one(self, record: VarUpdate | VarSumm, now: int, wall: int) -> None:
+        """Process a record as :meth:`Receiver.process` does. Nothing listens to drops, so these have no offset."""
+        if type(record) is VarUpdate:
+            self._update(record, -1, now, wall)
+        elif type(record) is VarSumm:
+            self._summary(record, -1)
 
-    def _summary(self, record: VarSumm, offset: int) -> None:
-        """Process a VarSumm as :meth:`Receiver._summary` does, without the effect that reports an equal number.
 
-        Nearly all summaries have the stored number. Nodes have the fast path only while nothing listens to drops.
+class HearingComposer(Composer):
+    """A composer that takes all summaries at once: in most payloads there is nothing else."""
+
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        """Return the same as :meth:`Composer._fitting`.
+
+        All summaries have one size: a division replaces the loop, as long as one container holds them.
         """
-        entry = self._database.lookup(record.var_id)
-        if (
-            entry is not None
-            and entry.seqno == record.seqno
-            and not entry.is_deleted
-            and entry.spec.prod_id != self._core.own_id
-        ):
-            self._core.delivery.has(record.var_id)
-        else:
-            super()._summary(record, offset)
+        size = self._sizes.fixed.get(kind)
+        if kind is ICType.SUMMARIES and size is not None and size <= largest:
+            header = self._sizes.ic_header
+            most = min(self._parameters.max_summaries, max((room - header) // size, 0))
+            if min(most, len(queue)) <= IC_MAX_RECORDS:
+                chosen = list(islice(queue, most))
+                return chosen, header + size * len(chosen) if chosen else 0
+        return super()._fitting(kind, queue, room, largest)
 
-    def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
-        """Execute a cell as :meth:`Receiver._answer` does, and note whether the record has an effect."""
-        if cell.action is not Action.IGNORE:
-            self.quiet = False
-        super()._answer(cell, entry, var_id, offset)
+    def _take_all(self, kind: ContainerType, chosen: list[int]) -> Sequence[VardisRecord | OwnRecord]:
+        """Return the same as :meth:`Composer._take_all`."""
+        if kind is not ICType.SUMMARIES or self._own_fields:
+            return super()._take_all(kind, chosen)
+        entries, queue = self._database.entries, self._database.summary_q
+        # Moving all of them to the tail, in their order, changes nothing.
+        if len(chosen) < len(queue):
+            for var_id in chosen:
+                queue.rotate(var_id)
+        return [VarSumm(var_id, entries[var_id].seqno) for var_id in chosen]
 
 
 class HearingVardis(Vardis):
-    """VarDis that notes the payloads whose records were all ignored."""
+    """VarDis with the numbers of records that have no effect."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
         def note(effect: Effect) -> None:
             if type(effect) is VariableChanged:
-                self.forget()
+                self._follow(effect.var_id)
             emit(effect)
 
         super().__init__(config, bp, emit=note, now=now, wall=wall)
-        self.known: set[bytes | None] = {None}
-        """Payloads without an effect while VarDis is active; None represents a beacon without a VarDis payload."""
-        self._size = 0
-        self._receiver = self._hearing = HearingReceiver(self._core)
+        self.quiet: set[Number] = set()
+        """The numbers with which updates and summaries have no effect while VarDis is active: the stored ones, without
+        deleted variables, and without those whose update by this node waits for such a summary."""
+        self._stored: dict[int, Number] = {}
+        """The same by variable."""
+        self._receiver = self._hearing = HearingReceiver(self._core, self.instructions)
+        self._composer = HearingComposer(self._core, self.instructions)
 
-    def forget(self) -> None:
-        """Clear the known payloads after a change of the state: all payloads have to be processed again."""
-        self._hearing.quiet = False
-        self.known.clear()
-        self.known.add(None)
+    def _follow(self, var_id: int) -> None:
+        """Set the number of a variable that may have changed."""
+        before = self._stored.pop(var_id, None)
+        if before is not None:
+            self.quiet.discard(before)
+        entry = self._database.lookup(var_id)
+        if entry is not None and not entry.is_deleted and not self._core.delivery.awaits(var_id):
+            self._stored[var_id] = number = (var_id, entry.seqno)
+            self.quiet.add(number)
 
-    def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        """Process a payload as :meth:`Vardis.handle_payload` does, and note it if it had no effect."""
-        self._hearing.quiet = self.active
-        super().handle_payload(payload, now=now, wall=wall)
-        if self._hearing.quiet:
-            if len(self.known) >= MOST_KNOWN:
-                self.forget()
-            self.known.add(payload)
+    def look(self) -> None:
+        """Set the numbers of all variables."""
+        for var_id in [*self._stored, *self._database.entries]:
+            self._follow(var_id)
+
+    def learn(self, beacon: Parsed, new: frozenset[Number], now: int, wall: int) -> None:
+        """Process the records with ``new`` numbers as :meth:`Vardis.handle_payload` does, in their order."""
+        self.hears(beacon.sender_id)
+        for number, record in beacon.records:
+            # The record before it may have been the update with this number.
+            if number in new and number not in self.quiet:
+                self._hearing.process_one(record, now, wall)
+                if number[0] not in self._stored:
+                    self._follow(number[0])
 
     def asked_by(self, neighbour: bytes) -> bool:
         """Return whether a request of a neighbour is open; its payloads then have to be processed."""
         return self._core.delivery.asked_by(neighbour)
 
-    def look(self) -> None:
-        """Clear the known payloads if entries left the database: up to 1.3 the last VarDelete removes its entry."""
-        size = len(self._database)
-        if size != self._size:
-            self._size = size
-            self.forget()
-
-    def start(self, now: int, wall: int) -> BPStatus:
-        """Start as :meth:`Vardis.start` does, and clear the known payloads."""
-        self.forget()
-        return super().start(now, wall)
-
-    def restore(self, state: VardisState) -> None:
-        """Restore as :meth:`Vardis.restore` does, and clear the known payloads."""
-        super().restore(state)
-        self.forget()
-
-    def shutdown(self) -> None:
-        """Shut down as :meth:`Vardis.shutdown` does, and clear the known payloads."""
-        super().shutdown()
-        self.forget()
-
-    def set_parameter(self, name: str, value: object) -> Violation | None:
-        """Change a parameter as :meth:`Vardis.set_parameter` does, and clear the known payloads."""
-        self.forget()
-        return super().set_parameter(name, value)
+    def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
+        """Process a payload as :meth:`Vardis.handle_payload` does."""
+        super().handle_payload(payload, now=now, wall=wall)
+        self.look()
 
 
 class HearingNode(Node):
@@ -337,13 +360,6 @@ class HearingNode(Node):
         if config.vardis:
             self.vardis = self._vardis = HearingVardis(config, self._vardis_port, emit=emit, now=now, wall=wall)
         self._bp.node = self
-        self.known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
-
-    def handle_timeout(self, now: int, wall: int) -> None:
-        """Process timeouts as :meth:`Node.handle_timeout` does, and note removed database entries."""
-        super().handle_timeout(now, wall)
-        if self._vardis is not None:
-            self._vardis.look()
 
     def look(self) -> None:
         """Determine whether the fast path may be used. Call it after services and after the start.
@@ -365,37 +381,41 @@ class HearingNode(Node):
             vardis.look()
         self.network_id = self.bp.parameters().get("BPPAR_NETWORK_ID")
 
-    def hear(self, heard: ReceivedBeacon) -> bool:
-        """Append a beacon to the waiting ones if it changes only statistics.
+    def hear(self, heard: ReceivedBeacon) -> Sequence[Effect] | None:
+        """Append a beacon to the waiting ones, and process the records whose numbers are not those of the database.
 
-        Returns False if the beacon has to be processed completely.
+        Returns the effects; None if the beacon has to be processed completely.
         """
         beacon = heard.beacon
-        if beacon.vardis not in self.known or beacon.network_id != self.network_id:
-            return False
-        waiting = self.waiting.get(beacon.sender_id)
+        waiting, vardis = self.waiting.get(beacon.sender_id), self._vardis
+        if beacon.network_id != self.network_id or (vardis is None and beacon.records):
+            return None
+        if waiting is None and not self._takes_newcomer(beacon):
+            return None
         if waiting is None:
-            return self._hear_newcomer(heard)
-        waiting.append(heard)
-        if len(waiting) >= MOST_WAITING:
+            self.waiting[beacon.sender_id] = [heard]
             self.settle_one(beacon.sender_id)
-        return True
+        else:
+            waiting.append(heard)
+            if len(waiting) >= MOST_WAITING:
+                self.settle_one(beacon.sender_id)
+        if vardis is not None and (new := beacon.numbers - vardis.quiet):
+            vardis.learn(beacon, new, heard.now, heard.wall)
+            self.settle(heard.now, heard.wall)
+            return self.take_effects()
+        return ()
 
-    def _hear_newcomer(self, heard: ReceivedBeacon) -> bool:
-        """Take a new sender into the fast path; returns False if its beacon has to be processed completely.
+    def _takes_newcomer(self, beacon: Parsed) -> bool:
+        """Return whether a new sender can be taken into the fast path.
 
-        It has to be if a request of the sender is open, or if its report could change a timer or displace a neighbour.
+        It cannot if a request of the sender is open, or if its report could change a timer or displace a neighbour.
         """
-        beacon = heard.beacon
         if not self.ready or (self._vardis is not None and self._vardis.asked_by(beacon.sender_id)):
             return False
-        if self._srp is not None:
-            table = self._srp.hearing_table
-            if beacon.report is None or not 0 < len(table) < table.capacity:
-                return False
-        self.waiting[beacon.sender_id] = [heard]
-        self.settle_one(beacon.sender_id)
-        return True
+        if self._srp is None:
+            return True
+        table = self._srp.hearing_table
+        return beacon.report is not None and 0 < len(table) < table.capacity
 
     def handled(self, beacon: Parsed) -> None:
         """Take the sender of a completely processed beacon into the fast path, unless a request of it is open."""

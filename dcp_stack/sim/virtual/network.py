@@ -21,10 +21,11 @@ from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
 from dcp_stack.virtual.medium import Arrival, SimulatedMedium, TraceDigest
 from dcp_stack.virtual.quality import PERFECT, Quality
+from dcp_stack.virtual.radio import Radio, RadioMedium
 from dcp_stack.virtual.topology import Positions, Topology
 from dcp_stack.virtual.world import Station, World, node_id
 
-from .hearing import MOST_WAITING, HearingNode, Parsed, Parser, ReceivedBeacon
+from .hearing import HearingNode, Parsed, Parser, ReceivedBeacon
 from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
@@ -126,9 +127,7 @@ class NetworkStation(Station):
         self.beacons_received += 1
         self.show(arrival)
         if self.node is not None:
-            self.network.delivering = arrival
             self.guarded(self.node.handle_frame, arrival.octets, now=self.world.now, wall=self.wall())
-            self.network.delivering = None
 
     def poll(self, source: PositionSource) -> None:
         """Submit the current samples of a source to the node, and schedule the next poll."""
@@ -172,6 +171,7 @@ class Network(World):
         seed: int = 1,
         topology: Topology | None = None,
         quality: Quality = PERFECT,
+        radio: Radio | None = None,
         bp: BPConfig | None = None,
         srp: SRPConfig | None = None,
         vardis: VardisConfig | None = None,
@@ -184,7 +184,11 @@ class Network(World):
         the same outcome. Raises ValueError for parameters out of bounds.
         """
         self.digest = TraceDigest()
-        self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
+        self.medium: SimulatedMedium
+        if radio is None:
+            self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
+        else:
+            self.medium = RadioMedium(count, radio, quality, seed=seed, topology=topology, observer=self.digest)
         super().__init__(self.medium, self.arrive)
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)
@@ -211,8 +215,8 @@ class Network(World):
             self.stations.append(self.station(index, config, rng))
             self.medium.switch(index, up=False)
         if share_decoding and self.stations:
-            # Its cache makes that of the shared codec superfluous.
-            self.parse = Parser(msgspec.structs.replace(self.stations[0].config, codec=codec)).parse
+            plain = msgspec.structs.replace(self.stations[0].config, codec=codec)
+            self.parse = Parser(plain, self.codec).parse
 
     def station(self, index: int, config: NodeConfig, rng: random.Random) -> NetworkStation:
         """Return a new station."""
@@ -310,33 +314,39 @@ class Network(World):
         stations, octets = self.stations, arrival.octets
         beacon = self.parse(octets) if self.parse is not None else None
         if beacon is None:
+            self.delivering = arrival
             for receiver in arrival.receivers:
                 station = stations[receiver]
                 if station.hearing is not None:
                     # The frame may contain a request; the node then has to process the sender's next beacon completely.
                     station.hearing.forget_all()
                 station.deliver(arrival)
+            self.delivering = None
             return
-        heard = ReceivedBeacon(beacon, self.now, self.wall)
-        sender, payload, network = beacon.sender_id, beacon.vardis, beacon.network_id
+        now, wall = self.now, self.wall
+        heard = ReceivedBeacon(beacon, now, wall)
+        self.delivering = arrival
         for receiver in arrival.receivers:
             station = stations[receiver]
             node = station.hearing
             if node is not None:
-                # Inlined from node.hear(): nearly all deliveries of a large network end here, and the call would
-                # double their cost.
-                waiting = node.waiting.get(sender)
-                if waiting and payload in node.known and network == node.network_id and len(waiting) < MOST_WAITING:
-                    waiting.append(heard)
-                elif not node.hear(heard):
-                    # The waiting beacons of this sender arrived earlier.
-                    node.settle_one(sender)
-                    node = None
-            if node is not None:
-                station.beacons_received += 1
-                if station.watchers:
-                    station.show(arrival)
-                continue
+                offset = station.offset
+                try:
+                    effects = node.hear(ReceivedBeacon(beacon, now, wall + offset) if offset else heard)
+                    # Updates and summaries change no timer.
+                    if effects:
+                        station.apply(effects)
+                except Exception as error:  # the other stations continue
+                    station.fail(error)
+                    continue
+                if effects is not None:
+                    station.beacons_received += 1
+                    if station.watchers:
+                        station.show(arrival)
+                    continue
+                # The waiting beacons of this sender arrived earlier.
+                node.settle_one(beacon.sender_id)
             station.deliver(arrival)
             if station.hearing is not None:
                 station.hearing.handled(beacon)
+        self.delivering = None

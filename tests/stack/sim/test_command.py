@@ -286,6 +286,14 @@ def test_an_interrupted_run_reports_what_it_has_measured(run, monkeypatch):
     assert "values     " in output
 
 
+def test_when_another_implementation_composes_is_reported(run):
+    note = "the C++ implementation composes a payload right after the beacon before it"
+    settings = ("simulate", LINE, "--set", "profile=cpp-2.0")
+    assert note in run(*settings)[1]
+    assert note not in run(*settings, "--set", "readings.X54=after-the-beacon")[1]
+    assert note not in run("simulate", LINE)[1]
+
+
 def test_a_trigger_without_effect_is_reported(run):
     note = "bp.triggered has no effect on VarDis"
     settings = ("simulate", LINE, "--set", "bp.triggered=true")

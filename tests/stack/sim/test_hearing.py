@@ -5,10 +5,13 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_stack.config import SRPConfig
+from dcp_codec.codec import get_codec
+from dcp_codec.values import VarSpec
+from dcp_stack.config import NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import NeighbourSeen
 from dcp_stack.sim.scenario.definition import (
     Activate,
+    Clock,
     Create,
     Deactivate,
     Delete,
@@ -23,8 +26,10 @@ from dcp_stack.sim.scenario.definition import (
     Update,
 )
 from dcp_stack.sim.scenario.loading import parse_topology
-from dcp_stack.sim.virtual.hearing import MOST_WAITING, HearingNode
+from dcp_stack.sim.virtual.hearing import MOST_WAITING, HearingComposer, HearingNode
 from dcp_stack.sim.virtual.player import Simulation
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.core import Core
 
 from ...chance import examples
 
@@ -44,6 +49,7 @@ TROUBLE = (
     Create(at_s=8, node=2, variable=2, text="again"),
     Restart(at_s=9, node=0),
     Create(at_s=9.3, node=0, variable=1, text="back"),
+    Clock(at_s=9.5, node=4, step_s=3.0),
     Down(at_s=10, node=1),
     Up(at_s=14, node=1),
 )
@@ -173,3 +179,21 @@ def test_tracks_are_sampled_for_each_beacon():
     assert (entry.lost, entry.received) == (0, report.traffic[1].beacons_sent)
     # The stamp of the report is the moment of the beacon; there is no delay on this medium.
     assert node.srp.neighbours.delay(entry) == 0
+
+
+@settings(max_examples=examples(60))
+@given(st.integers(0, 300), st.integers(0, 300), st.lists(st.integers(-5, 1300), min_size=1, max_size=4))
+def test_payloads_are_those_of_a_plain_composer(variables, most, rooms):
+    """Also where the room, the limit of summaries or a full container ends them, and which ones come next."""
+    found = []
+    for kind in (Composer, HearingComposer):
+        limits = VardisConfig(max_summaries=min(most, 255))
+        core = Core(NodeConfig(node_id=bytes(6), codec=get_codec("dcp-2.0"), vardis=limits), lambda _effect: None)
+        for var_id in range(min(variables, 256)):
+            spec = VarSpec(var_id, bytes(6), 1, b"d", 0, 0)
+            core.database.insert(spec, b"v", var_id % 7, now=0, wall=0)
+            if var_id % 50:
+                core.database.create_q.remove(var_id)
+        composer = kind(core)
+        found.append([[composer.compose(room) for room in rooms], core.database.snapshot()])
+    assert found[0] == found[1]

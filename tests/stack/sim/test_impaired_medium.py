@@ -66,7 +66,7 @@ def test_arrivals_come_in_the_order_of_time_then_of_sending() -> None:
     medium.broadcast(1, b"b", 2 * MS)
     assert medium.poll_timeout() == 3 * MS
     assert list(medium.arrivals(3 * MS - 1)) == []
-    found = [tuple(each) for each in medium.arrivals(100 * MS)]
+    found = [tuple(each)[:5] for each in medium.arrivals(100 * MS)]
     assert found == [
         (3 * MS, 1, (0,), b"b", 2 * MS),
         (5 * MS, 0, (1,), b"a", 0),

@@ -11,6 +11,7 @@ import pytest
 
 from dcp_stack.sim.scenario.loading import load_scenario
 from dcp_stack.sim.scenario.report import lines
+from dcp_stack.sim.sweep.plan import load_study
 from dcp_stack.sim.virtual.player import simulate
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -25,6 +26,12 @@ STATION = EXAMPLES / "base-station"
 def test_every_scenario_meets_its_expectations(path):
     report = simulate(load_scenario(path))
     assert report.met, "\n".join(lines(report))
+
+
+def test_the_study_has_the_runs_that_it_states():
+    path = EXAMPLES / "study.toml"
+    study = load_study(path)
+    assert f"{len(study.cells) * study.seeds} runs" in path.read_text()
 
 
 def station(*arguments: str) -> subprocess.CompletedProcess[str]:

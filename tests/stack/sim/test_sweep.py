@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import math
 import statistics
+import sys
 from operator import itemgetter
 
 import pytest
 
 from dcp_stack.cli import main
+from dcp_stack.sim.measuring import DelayRow
 from dcp_stack.sim.scenario.definition import ScenarioError
 from dcp_stack.sim.sweep.plan import load_study, study_from
-from dcp_stack.sim.sweep.results import Estimate, outcome, stored
+from dcp_stack.sim.sweep.results import Estimate, Outcome, outcome, stored, summaries
+
+# Processes, Parquet and plots.
+pytestmark = pytest.mark.part("tables")
 
 STUDY = """
 nodes = 3
@@ -68,9 +74,19 @@ def test_a_study_is_resumed_and_verified(run, study, tmp_path):
     status, output, _ = run(study, "--jobs", 1)
     assert status == 0
     assert output.startswith("8 of 8 runs (0 resumed), ")
-    names = ["bundle.json", "plot.svg", "runs.csv", "runs.jsonl", "runs.parquet", "table.csv"]
+    names = [
+        *("bundle.json", "page.html", "plot.png", "plot.svg", "runs.csv", "runs.jsonl", "runs.parquet", "table.csv")
+    ]
     assert sorted(each.name for each in out.iterdir()) == names
-    first = {name: (out / name).read_bytes() for name in ("table.csv", "runs.csv", "bundle.json", "plot.svg")}
+    names.remove("runs.jsonl")
+    first = {name: (out / name).read_bytes() for name in names if name != "runs.parquet"}
+    assert first["plot.png"].startswith(b"\x89PNG")
+    # The page has the plot, and the rows of the table on the terminal.
+    page = first["page.html"].decode()
+    assert base64.b64encode(first["plot.svg"]).decode() in page
+    assert page.count("<tr>") == 5
+    assert "fewer than 10 receptions" in output
+    assert "fewer than 10 receptions" in page
     # The rows of nodes add up to those of their distance.
     rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
     whole, nodes = ([each for each in rows if (each["node"] == "") is one] for one in (True, False))
@@ -138,6 +154,61 @@ def test_the_table_has_means_over_seeds(run, study, tmp_path):
         assert row["few"] == str(int(row["received"]) < 10)
 
 
+def outcome_of(cell, seed, share, mean_ms, received=20):
+    row = DelayRow("update", 2, 20, received, 20 - received, share, mean_ms)
+    values = {"digest": "", "met": True, "newest": None, "octets": 0, "beacons": 0, "cpu_s": 0.0}
+    return Outcome(key=f"{cell}/{seed}", cell=cell, seed=seed, delays=[row], **values)
+
+
+def test_differences_are_those_of_pairs_with_the_same_seed():
+    """Differences of 1, 2 and 3 ms, though the seeds differ by 1000 ms; a seed of one cell only has no pair."""
+    before = [outcome_of(0, seed, 0.5, 1000.0 * seed) for seed in (1, 2, 3, 4)]
+    after = [outcome_of(1, seed, 0.75, 1000.0 * seed + seed) for seed in (1, 2, 3)]
+    plain, paired = summaries([*after, *before], {1: 0})
+    assert plain.differences == {}
+    assert paired.differences["share"] == Estimate(0.25, 0.0)
+    assert paired.differences["delay_ms"].mean == 2.0
+    assert paired.differences["delay_ms"].half == pytest.approx(4.303 / math.sqrt(3))
+    assert paired.differences["delay_ms"].text(1, signed=True) == "+2.0 +- 2.5"
+    assert "newest" not in paired.differences
+    assert paired.delay_ms.half > 1000
+
+
+def test_the_preceding_cell(study, tmp_path):
+    found = load_study(study)
+    assert (found.compare, found.preceding()) == ("events.*.repetitions", {1: 0, 3: 2})
+    raw = {**found.raw, "sweep": {**found.raw["sweep"], "compare": "link.loss"}}
+    assert study_from(raw, tmp_path, "study").preceding() == {2: 0, 3: 1}
+    raw["sweep"]["zipped"] = True
+    assert study_from(raw, tmp_path, "study").preceding() == {1: 0}
+    assert study_from({"sweep": {}}, tmp_path, "study").preceding() == {}
+
+
+def test_the_table_compares_repetitions(run, study, tmp_path):
+    _, output, _ = run(study, "--jobs", 1)
+    lines = output.splitlines()
+    header = next(line for line in lines if "repetitions" in line).split()
+    assert header == ["loss", "repetitions", "hops", "share", "change", "delay", "ms", "newest", "n"]
+    assert "change: difference of the share from the preceding repetitions" in output
+    with (tmp_path / "study" / "table.csv").open() as file:
+        rows = [each for each in csv.DictReader(file) if (each["kind"], each["hops"]) == ("update", "2")]
+    for one, two in zip(rows[::2], rows[1::2], strict=True):
+        assert one["share_difference"] == ""
+        assert float(two["share_difference"]) == pytest.approx(float(two["share"]) - float(one["share"]))
+    # Without losses a second transmission changes nothing, in no pair.
+    assert (rows[1]["share_difference"], rows[1]["share_difference_ci95"]) == ("0.0", "0.0")
+
+
+def test_without_the_extra_the_tables_are_written(run, study, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "dcp_stack.sim.sweep.plot", raising=False)
+    status, _, errors = run(study, "--jobs", 1)
+    assert status == 0
+    assert "plot.svg, plot.png and page.html need the extra 'plot': pip install 'dcp-conformance-kit[plot]'" in errors
+    assert (tmp_path / "study" / "table.csv").exists()
+    assert not (tmp_path / "study" / "plot.svg").exists()
+
+
 def test_seeds_are_added_until_the_intervals_are_narrow(run, study, tmp_path):
     status, output, _ = run(study, "--until-ci", 0.3, "--jobs", 1)
     assert status == 0
@@ -165,6 +236,7 @@ def test_invalid_studies_are_refused(run, study, tmp_path):
         (None, "sweep: a study needs this table"),
         ({"link.loss": 0.1}, "sweep.link.loss: must be a list of at least one value"),
         ({"seeds": 0}, "sweep.seeds: must be an integer of at least 1, not 0"),
+        ({"compare": "b", "a": [1]}, "sweep.compare: 'b' is not one of the keys a"),
         ({"zipped": 1}, "sweep.zipped: must be true or false"),
         ({"zipped": True, "a": [1], "b": [1, 2]}, "zipped lists must have the same length"),
         ({"a": list(range(2000)), "b": list(range(2000))}, "more than 1,000,000 runs"),
