@@ -22,6 +22,7 @@ from dcp_codec.capture import (
     extract_attachment,
     open_capture,
 )
+from dcp_codec.capture.mcap.index import Place, read_index
 
 FRAMES = [Frame(n, 1_700_000_000_000_000_000 + n, n.to_bytes(2, "big") * 50, 100 + n, n % 3) for n in range(1, 4001)]
 MAGIC = b"\x89MCAP0\r\n"
@@ -505,6 +506,32 @@ def test_no_single_inverted_bit_costs_more_than_a_part_of_a_chunk(tmp_path, atta
         if attached:
             assert [each.data for each in frames] == [each.data for each in sent], (place, problems)
         assert len(frames) == len(sent) or problems, place
+
+
+class CountedPlace(Place):
+    """A place in the index that counts how often it is compared."""
+
+    looked_up = 0
+
+    @property
+    def offset(self):
+        CountedPlace.looked_up += 1
+        return self[0]
+
+
+def test_a_record_costs_a_binary_search_in_the_index(tmp_path, monkeypatch):
+    monkeypatch.setattr("dcp_codec.capture.mcap.writer.CHUNK_LENGTH", 1)
+    path, many = tmp_path / "long.mcap", 1000
+    path.write_bytes(written(FRAMES[:many]))
+    index = read_index(path)
+    assert len(index.chunks) == many
+    counted = index._replace(chunks=tuple(CountedPlace(*each) for each in index.chunks))
+    monkeypatch.setattr("dcp_codec.capture.mcap.reader.read_index", lambda _: counted)
+    monkeypatch.setattr(CountedPlace, "looked_up", 0)
+    with open_capture(path) as reader:
+        assert plain(reader) == plain(FRAMES[:many])
+    # Each chunk has an index of its messages after it.
+    assert 2 * many <= CountedPlace.looked_up <= 2 * many * 20
 
 
 def test_a_chunk_of_unknown_compression_is_skipped():

@@ -8,8 +8,10 @@ records and checks their lengths; the library parses the contents of a record.
 from __future__ import annotations
 
 import struct
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from operator import attrgetter
 from typing import Final, Never, TypeVar
 
 from mcap.data_stream import ReadDataStream
@@ -288,12 +290,13 @@ class McapReader(CaptureReader):
         """Return whether the head of a record contradicts the index, so that the next record cannot be found."""
         if self._index is None or not self._index.chunks:
             return False
-        at = {place.offset: place.length for place in self._index.chunks}
-        if offset in at:
-            return opcode != Opcode.CHUNK or length != at[offset] - RECORD_HEAD.size
+        # The chunks are many in a long recording, and so are the records between them.
+        chunks = self._index.chunks
+        place = bisect_left(chunks, offset, key=attrgetter("offset"))
+        if place < len(chunks) and chunks[place].offset == offset:
+            return opcode != Opcode.CHUNK or length != chunks[place].length - RECORD_HEAD.size
         # Some record must begin at the offset of each later chunk.
-        following = min((each for each in at if each > offset), default=None)
-        return following is not None and offset + RECORD_HEAD.size + length > following
+        return place < len(chunks) and offset + RECORD_HEAD.size + length > chunks[place].offset
 
     def _by_index(self, offset: int) -> Iterator[Frame | None]:
         """Read the chunks from `offset` on at their places in the index, and end; nothing without any."""
