@@ -16,6 +16,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.networks import NetworkSituation, record
 
 from dcp_codec.analysis.lag import lags
 from dcp_codec.capture import create_capture
@@ -74,6 +75,18 @@ def test_faults_in_a_line_are_found(fault):
 def test_a_line_without_a_fault_has_no_finding(loss):
     for links in (True, False):
         assert failures(judged("", loss, links=links)[1]) == {}
+
+
+@pytest.mark.parametrize("seed", [4, 5, 11])
+def test_no_link_is_inferred_between_nodes_that_are_out_of_reach(seed):
+    """Repetitions, own variables and timeouts look like reactions to records that a node cannot have received."""
+    judge = Judge(Codec(PROFILE), Pics(), recording="line", period_known=False)
+    for frame in record(NetworkSituation(shape="line", busy=2.0, deletes=0.0, seed=seed)):
+        judge.feed(frame)
+    judge.result()
+    heard = {(a, b) for a in range(5) for b in range(5) if a != b and judge.hears(NODES[a], NODES[b])}
+    assert all(abs(a - b) == 1 for a, b in heard), heard
+    assert len(heard) >= 7
 
 
 def test_results_state_where_the_links_come_from():

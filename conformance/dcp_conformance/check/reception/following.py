@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
+from dcp_spec.constants import ICType
+
 from dcp_conformance.check.statements import Statement
 
 #: Number of beacons of a node whose times are kept: the causes of a reaction are not older.
@@ -117,6 +119,8 @@ class Station:
     """Variable -> the sequence number that it stated last."""
     stated_at: dict[int, int] = field(default_factory=dict)
     """Variable -> value of ``beacons`` when it stated the number last."""
+    sent: dict[tuple[int, ICType], int] = field(default_factory=dict)
+    """Variable and CREATE or UPDATE -> value of ``beacons`` when it sent such a record last."""
     had: dict[int, int] = field(default_factory=dict)
     """Variable that it has deleted -> the latest creation time that it can have known."""
     open: dict[int, Occasions] = field(default_factory=dict)
@@ -211,6 +215,8 @@ class Trial(NamedTuple):
     """Of a reaction: the time of the beacon with it, ns of :attr:`Observer.time`."""
     proof: Proof | None = None
     """Of a missing reaction: proof that the node has received the record."""
+    open_cause: bool = False
+    """Whether the node may react without a received record: by a repetition, or by the timeout of the variable."""
 
     @property
     def speakers(self) -> int:
@@ -241,6 +247,10 @@ class Variable:
     """The nodes that hold a newer number than a known producer states, and may therefore be producers themselves."""
     created: int = 0
     """The latest creation time in a create."""
+    repetitions: int = 0
+    """The largest repCnt in a create; 0 if no create was heard."""
+    expires: bool = False
+    """Whether a create has a timeout, so that nodes delete the variable without a delete."""
     born: bool = False
     """Whether the recording shows the first creation by the producer."""
     last_create: int = 0
