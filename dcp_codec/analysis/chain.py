@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from .ledger import Entry, Stamp
+from .entry import Entry, Stamp
 
 Hears = Callable[[bytes, bytes], bool | None]
 """Whether a node (first argument) hears another one; None if that is not known."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dcp_codec.analysis.ledger import DELETED
+from dcp_codec.analysis.entry import DELETED
 
 from .analysis import Time, times_of
 from .recorded import Column, Recorded

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import BasicTickFormatter
 
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
 
 from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time

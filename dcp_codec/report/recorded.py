@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from dcp_spec.profile.definition import SafetyField
 
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
 from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
 from dcp_codec.common.printable import plain

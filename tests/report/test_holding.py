@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from dcp_codec import get_codec
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.report import analysis

@@ -6,8 +6,7 @@ import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from dcp_codec.analysis.lag import lags
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
 from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.results import RunResult
@@ -52,16 +51,15 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 def _holdings(judge: Judge) -> Iterable[Sequence[object]]:
     ledger = judge.ledger
-    entries, begin = ledger.entries(), ledger.begin or 0
-    lag_of = {id(each.held): each for each in lags(entries, ledger.producers)}
-    for each in entries:
-        lag, creation = lag_of.get(id(each)), each.creation
+    begin = ledger.begin or 0
+    for each in ledger.entries():
+        creation = each.creation
         yield (
             name(each.node), each.var_id, _STATES.get(each.number, "held"), each.number if each.number >= 0 else "",
             name(creation[0]) if creation else "", creation[1] if creation and creation[1] is not None else "",
             f"{(each.time - begin) / 1e9:.6f}", f"{(each.until - begin) / 1e9:.6f}", each.frame, each.last,
             each.values, each.carried[0][0] if each.carried else "", each.asked,
-            lag.numbers if lag else "", f"{lag.age / 1e9:.6f}" if lag else "",
+            each.missed if each.age else "", f"{each.age / 1e9:.6f}" if each.age else "",
         )  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.networks import NetworkSituation, record
 
-from dcp_codec.analysis.lag import lags
 from dcp_codec.capture import create_capture
 from dcp_codec.codec import Codec
 from dcp_codec.report.chapter import chapter
@@ -101,12 +100,13 @@ def test_results_state_where_the_links_come_from():
 
 def test_the_lag_of_a_stuck_node():
     judge, _ = judged("stuck", links=False)
-    longest = max(lags(judge.ledger.entries(1), judge.ledger.producers), key=lambda each: each.age)
-    assert (longest.held.number, longest.newest.number, longest.numbers) == (20, 50, 30)
-    assert longest.held.node in NODES[2:]
-    assert longest.deleted is not None
+    longest = max(judge.ledger.stale(), key=lambda each: each.age)
+    assert (longest.var_id, longest.number, longest.newest.number, longest.missed) == (1, 20, 50, 30)
+    assert longest.node in NODES[2:]
+    assert longest.deleted
     healthy, _ = judged(links=False)
-    assert max(each.age for each in lags(healthy.ledger.entries(1), healthy.ledger.producers)) < 1e9
+    assert healthy.ledger.stale() == []
+    assert 0 < max(each.age for each in healthy.ledger.entries(1)) < 1e9
 
 
 def answer(judge: Judge, variable: int, node: int, seconds: float | None) -> Answer:
@@ -193,10 +193,8 @@ def test_the_page_of_the_recording_says_the_same(tmp_path):
         assert shown == [rule for rule, texts in failures(run).items() for _ in texts]
         tiles = {name: text for text, name, _ in drawn.tiles}
         held = next(each for each in drawn.sections if each.id.startswith("holding"))
-        late = [each for each in lags(judge.ledger.entries(), judge.ledger.producers) if each.age > 2e9]
-        assert tiles["were stale"] == (
-            f"≠ {len({(each.held.node, each.held.var_id) for each in late})}" if late else "0"
-        )
+        late = judge.ledger.stale()
+        assert tiles["were stale"] == (f"≠ {len({(each.node, each.var_id) for each in late})}" if late else "0")
         assert bool(late) == held.words[0].startswith("≠ Nodes with stale values") == bool(shown)
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.analysis.lag import lags
-from dcp_codec.analysis.ledger import Entry
+from dcp_codec.analysis.entry import Entry
 from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.reception import reception_of
 from dcp_conformance.check.statements import (
@@ -31,13 +30,10 @@ from dcp_conformance.model.verdict import Verdict
 
 from .vardis import seqno_of
 
-SECOND = 1_000_000_000
 #: Number of beacons with room in which a node must send the value whose number its summaries state.
 _PATIENCE = 8
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
-#: Time in ns after which a producer's number must have reached all nodes.
-_STABLE = 3 * SECOND
 #: A protocol of a node has fallen silent if at least ``_SPOKE`` beacons, and the share ``_MOSTLY`` of all beacons up to
 #: its last payload, had a payload of it, and the last ``_SILENT`` beacons had none.
 _SPOKE, _SILENT, _MOSTLY = 20, 30, 0.9
@@ -216,30 +212,29 @@ class Agreement(Invariant):
         """Count the states of nodes, and report those that a node keeps after the producer has left them."""
         circle = Circle(self.context.profile.types.var_seqno.width)
         ledger = self.context.ledger
-        entries = ledger.entries()
-        self.exercised(times=sum(each.number >= 0 for each in entries))
-        for each in lags(entries, ledger.producers):
-            held, newest = each.held, each.newest
-            if each.age < _STABLE:
-                continue
+        self.exercised(times=sum(each.number >= 0 for each in ledger.entries()))
+        for held in ledger.stale(self.context.pics.pixit.beacon_period_ms * 1e6):
+            left, newest = held.left, held.newest
+            assert left is not None
+            assert newest is not None
             what = "a value of the producer that does not reach a node"
             if circle.newer(held.number, newest.number):
                 what = "a stale value that looks newer than that of the producer (H8)"
-            elif not each.numbers:
+            elif not held.missed:
                 what = "a deletion by the producer that a node does not follow"
             its = []
-            if each.numbers:
-                its.append(f"has {newest.number}, {each.numbers} number{'' if each.numbers == 1 else 's'} later")
-            if each.deleted:
+            if held.missed:
+                its.append(f"has {newest.number}, {held.missed} number{'' if held.missed == 1 else 's'} later")
+            if held.deleted:
                 its.append("has deleted it")
             text = (
-                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {each.age / 1e9:.1f} s after its "
+                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {held.age / 1e9:.1f} s after its "
                 f"producer {name(newest.node)} has changed it; by then the producer {', and '.join(its)}"
             )
             if held.asked:
                 text += f"; the node requests the update {held.asked} times"
             key = (held.node, held.var_id, what)
-            self.violated(text, [_mark(each.left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
+            self.violated(text, [_mark(left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
 
 
 @dataclass(slots=True)
