@@ -23,7 +23,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, VarSumm
 
-from .entry import DELETED, UNKNOWN, Entry, Stamp
+from .entry import DELETED, UNKNOWN, Creation, Entry, Stamp
 from .lag import PATIENCE, Production, patience
 
 CREATE, UPDATE, SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
@@ -184,7 +184,7 @@ class Ledger:
                     voice.again[var_id] = stamp
                     count += 1
                     if var_id in voice.odd:
-                        self._state(Statement(kind, record, *stamp, node, var_id, number), voice, number)
+                        self._state(frame, time, node, kind, var_id, number, None, voice)
                 else:
                     news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), voice))
         return news, count
@@ -197,36 +197,58 @@ class Ledger:
         if before is not None and again is not None:
             number = before.number
             before = Statement(SUMMARY, VarSumm(var_id, number), *again, each.sender, var_id, number)
+        number, created = each.number, None
+        if kind is CREATE:
+            created = each.record.spec.prod_id, each.record.spec.creation_time
+        elif kind is DELETE:
+            number = DELETED
+        elif kind is ASK_CREATE:
+            number = UNKNOWN
+        self._state(each.frame, each.time, each.sender, kind, var_id, number, created, voice)
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            self._state(each, voice, each.number)
             if var_id in voice.entries:
                 voice.last[var_id], voice.numbers[var_id] = each, each.number
             if again is not None:
                 del voice.again[var_id]
-        elif kind is DELETE:
-            self._state(each, voice, DELETED)
-            if before is not None:
-                del voice.last[var_id], voice.numbers[var_id]
-                voice.again.pop(var_id, None)
-        elif kind is ASK_CREATE:
-            self._state(each, voice, UNKNOWN)
-        else:
-            self._state(each, voice, each.number)
+        elif kind is DELETE and before is not None:
+            del voice.last[var_id], voice.numbers[var_id]
+            voice.again.pop(var_id, None)
         return News(each, before)
 
-    def _state(self, each: Statement, voice: _Voice, number: int) -> None:
+    def follow(
+        self, frame: int, time: int, node: bytes, kind: ICType, var_id: int, number: int, creation: Creation | None
+    ) -> None:
+        """Process a record by its fields: only the first and the last one of each state, and all creates, are needed.
+
+        ``number``: as in :class:`Entry`. ``creation``: of a create. Records of a variable must be in order.
+        """
+        if self.begin is None:
+            self.begin = self.end = time
+        self.end = max(self.end, time)
+        voice = self._voices.get(node)
+        if voice is None:
+            voice = self._voices[node] = _Voice(0)
+        self._state(frame, time, node, kind, var_id, number, creation, voice)
+
+    def _state(
+        self,
+        frame: int,
+        time: int,
+        node: bytes,
+        kind: ICType,
+        var_id: int,
+        number: int,
+        created: Creation | None,
+        voice: _Voice,
+    ) -> None:
         """Begin an entry, or continue the present one."""
-        kind, var_id = each.kind, each.var_id
         entry = voice.entries.get(var_id)
-        creation = None if entry is None else entry.creation
-        if kind is CREATE:
-            spec = each.record.spec
-            creation = (spec.prod_id, spec.creation_time)
-            if self.producers.get(var_id) != spec.prod_id:
-                self._produced(var_id, spec.prod_id)
+        creation = created if created is not None or entry is None else entry.creation
+        if created is not None and self.producers.get(var_id) != created[0]:
+            self._produced(var_id, created[0])
         # The first create of a state tells which creation it belongs to.
         if entry is not None and entry.number == number and (entry.creation == creation or entry.creation is None):
-            entry.creation, entry.last, entry.until = creation, each.frame, each.time
+            entry.creation, entry.last, entry.until = creation, frame, time
         else:
             if entry is not None:
                 self._close(entry, voice)
@@ -234,17 +256,15 @@ class Ledger:
                 self._pairs += 1
             else:
                 return
-            entry = voice.entries[var_id] = Entry(
-                each.sender, var_id, number, creation, kind, each.frame, each.time, each.frame, each.time
-            )
+            entry = voice.entries[var_id] = Entry(node, var_id, number, creation, kind, frame, time, frame, time)
             self._begun.append(entry)
             if (production := self._productions.get(var_id)) is not None:
                 production.begins(entry)
         if kind is UPDATE or kind is CREATE:
-            entry.carry(each.frame, each.time)
+            entry.carry(frame, time)
         elif kind is ASK_UPDATE or kind is ASK_CREATE:
             entry.asked += 1
-            entry.last_asked = (each.frame, each.time)
+            entry.last_asked = (frame, time)
             if var_id in voice.numbers and (kind is ASK_CREATE or voice.numbers[var_id] != number):
                 voice.odd.add(var_id)
             return
@@ -340,6 +360,11 @@ class Ledger:
         """Return the states of a variable (default: all) at all nodes, in the order of time."""
         found = [each for each in (*self._ended, *self._present()) if var_id is None or each.var_id == var_id]
         return sorted(found, key=attrgetter("time", "frame"))
+
+    @property
+    def compared(self) -> frozenset[int]:
+        """The variables whose states are compared: those whose creates name one producer."""
+        return frozenset(self._productions)
 
     def stale(self, period_ns: float = 0) -> list[Entry]:
         """Return the states that nodes have kept for too long after the producer had left them, by variable and time.

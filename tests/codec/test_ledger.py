@@ -146,7 +146,7 @@ def followed(numbers: int, stuck: int, room: int = 60_000, width: int = 256) -> 
     return ledger
 
 
-def test_a_node_that_is_one_value_behind_is_not_stale():
+def test_a_short_lag_is_not_stale():
     ledger = followed(20, 20)
     assert ledger.stale() == []
     assert {each.age for each in ledger.entries() if each.node == TWO} == {0}

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.check import Judge
+from dcp_conformance.check.base import name
 from dcp_conformance.check.tables import write_tables
 from dcp_conformance.check.topology import Topology, from_table, told
 from dcp_conformance.check.why import Answer, why
@@ -20,8 +21,10 @@ from dcp_conformance.reference.networks import NetworkSituation, record
 
 from dcp_codec.capture import create_capture
 from dcp_codec.codec import Codec
+from dcp_codec.report.analysis import time_of
 from dcp_codec.report.chapter import chapter
 from dcp_codec.report.findings import read_findings
+from dcp_codec.report.holding import holding
 from dcp_codec.report.recorded import gather
 
 from .lines import FAULTS, LINKS, NODES, PROFILE, recorded
@@ -187,13 +190,18 @@ def test_the_page_of_the_recording_says_the_same(tmp_path):
         judge, run = judged(fault, links=True)
         run = msgspec.structs.replace(run, sut=Sut(link="recording line.pcap"))
         (tmp_path / "results.json").write_bytes(msgspec.json.encode(run))
-        drawn = chapter(gather(str(path), PROFILE, None), 1, read_findings(tmp_path / "results.json"))
+        recorded_ = gather(str(path), PROFILE, None)
+        drawn = chapter(recorded_, 1, read_findings(tmp_path / "results.json"))
         section = next(each for each in drawn.sections if each.id.startswith("findings"))
         shown = [row[1].text for each in section.tables for row in each.rows if row[0].text == "fail"]
         assert shown == [rule for rule, texts in failures(run).items() for _ in texts]
         tiles = {name: text for text, name, _ in drawn.tiles}
         held = next(each for each in drawn.sections if each.id.startswith("holding"))
         late = judge.ledger.stale()
+        on_page = holding(recorded_, time_of(recorded_)).stale
+        assert sorted(
+            (recorded_.nodes[each.node], each.variable, each.held, each.missed) for each in on_page
+        ) == sorted((name(each.node), each.var_id, each.number, each.missed) for each in late)
         assert tiles["were stale"] == (f"≠ {len({(each.node, each.var_id) for each in late})}" if late else "0")
         assert bool(late) == held.words[0].startswith("≠ Nodes with stale values") == bool(shown)
 
