@@ -1,6 +1,6 @@
 """Compare the sequence number that each node holds of each variable, according to its beacons, with the producer's.
 
-Which states are stale is decided by the ledger (:meth:`dcp_codec.analysis.ledger.Ledger.stale`), as it is for
+The ledger decides which states are stale (:meth:`dcp_codec.analysis.ledger.Ledger.stale`), for this page and for
 ``dcp-conformance check``.
 """
 
