@@ -99,7 +99,7 @@ def statement(kind: ICType, record: Any, frame: int, time: int, sender: bytes) -
 class _Voice:
     """The statements of one node since the last gap in its beacons, and its entries."""
 
-    __slots__ = ("again", "entries", "last", "numbers", "odd", "unbroken")
+    __slots__ = ("again", "entries", "held", "last", "numbers", "odd", "unbroken")
 
     def __init__(self, unbroken: int) -> None:
         self.unbroken = unbroken
@@ -112,6 +112,8 @@ class _Voice:
         """Variable -> the last summary that repeats that number after the record in ``last``."""
         self.entries: dict[int, Entry] = {}
         """Variable -> its present state at the node."""
+        self.held = 0
+        """Number of variables that the node holds."""
         self.odd: set[int] = set()
         """Variables that the node has requested although it holds them, until it states their numbers again."""
 
@@ -252,11 +254,13 @@ class Ledger:
         else:
             if entry is not None:
                 self._close(entry, voice)
+                voice.held -= entry.number >= 0
             elif self._pairs < self._most:
                 self._pairs += 1
             else:
                 return
             entry = voice.entries[var_id] = Entry(node, var_id, number, creation, kind, frame, time, frame, time)
+            voice.held += number >= 0
             self._begun.append(entry)
             if (production := self._productions.get(var_id)) is not None:
                 production.begins(entry)
@@ -355,6 +359,11 @@ class Ledger:
         if entry is not None and voice is not None:
             self._reach(entry, voice)
         return entry
+
+    def holds(self, node: bytes) -> int:
+        """Return the number of variables that a node holds at present."""
+        voice = self._voices.get(node)
+        return 0 if voice is None else voice.held
 
     def entries(self, var_id: int | None = None) -> list[Entry]:
         """Return the states of a variable (default: all) at all nodes, in the order of time."""
