@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dcp_spec.constants import ICType
 
@@ -16,6 +16,10 @@ _TIMES = 16
 #: Reactions with the same delay that show when a node composes payloads, if they are ``MOSTLY`` times as many as those
 #: with the other delay.
 DELAYS, MOSTLY = 4, 3
+
+
+NOTHING: Final = Statement(ICType.SUMMARIES, None, 0, 0, b"", 0, -1)
+"""A record that stands for none."""
 
 
 class Kind(Enum):
@@ -55,17 +59,17 @@ class Interval:
 
     begin: int
     """Number of beacons that the node had sent before them."""
-    time: int
+    time: int = 0
     """Time of the first of them, ns of :attr:`Observer.time`."""
-    cause: Statement
+    cause: Statement = NOTHING
     """The first of them."""
-    speakers: int
+    speakers: int = 0
     """Their senders, as a mask of bits."""
-    late_half: bool
+    late_half: bool = True
     """Whether each of them was in the second half of its payload."""
-    length: int
+    length: int = 0
     """Length of the shortest VarDis payload with one of them, in octets."""
-    frames: list[int]
+    frames: list[int] = field(default_factory=list)
     """Numbers of the frames with one of them; negative for a frame with errors, which a node may ignore."""
     cut: bool = False
     """Whether earlier intervals, or frames, were dropped to save memory."""
@@ -166,12 +170,12 @@ class Event(NamedTuple):
 
     whom: int
     """The nodes that must react, as a mask of bits."""
-    kind: Kind
-    var_id: int
-    cause: Statement
-    """The record."""
     speaker: int
     """The bit of its sender."""
+    due: tuple[Kind, int]
+    """The reaction, and the variable."""
+    cause: Statement
+    """The record."""
     late_half: bool
     """Whether the record is in the second half of its payload."""
     length: int

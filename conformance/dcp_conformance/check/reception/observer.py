@@ -67,6 +67,8 @@ _PROVES = frozenset({Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.A
 _PROVABLE = (Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE)
 #: Maximum number of frames of an interval that are kept.
 _FRAMES = 32
+#: Stands for an interval that has not been looked up.
+_OPENING: Final = Interval(-1)
 
 
 class Observer:
@@ -512,7 +514,7 @@ class Observer:
                     late_half = 2 * begins[place][index] >= total
                     frame = seen.number if seen.sound else -seen.number
                     self._log.append(
-                        Event(whom, due, var_id, statement, speaker.bit, late_half, total, self.time, frame)
+                        Event(whom, speaker.bit, (due, var_id), statement, late_half, total, self.time, frame)
                     )
         if len(self._log) > _EVENTS:
             for station in self.stations.values():
@@ -522,33 +524,22 @@ class Observer:
 
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
-        log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
-        statement, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
-        waiting = station.waiting
-        hears = station.hears
-        for _, kind, var_id, cause, speaker, late_half, length, time, frame in [
-            event for event in log[station.cursor - self._dropped :] if event[0] & bit and event[4] & hears
-        ]:
-            opened = opened_of.get(var_id)
-            if opened is None and len(opened_of) >= MOST_OPEN:
+        log, bit, hears = self._log, station.bit, station.hears
+        intervals: dict[tuple[Kind, int], Interval | None] = {}
+        """Kind and variable -> the interval since the node's last beacon; None if the events do not count."""
+        for event in log[station.cursor - self._dropped :]:
+            if not (event[0] & bit and event[1] & hears):
                 continue
-            if kind in _ABSENT:
-                waiting[var_id] = None
-            elif statement[var_id] < oldest:
-                # The node's last statement of the number is too old, or beacons of it are missing since then.
-                continue
-            if opened is None:
-                opened = opened_of[var_id] = {}
-            intervals = opened.get(kind)
-            if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, [frame])]
-                continue
-            last = intervals[-1]
-            if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, [frame]))
-                if len(intervals) > _OPEN:
-                    intervals.pop(0)
-                    intervals[0].cut = True
+            _, speaker, key, cause, late_half, length, time, frame = event
+            last = intervals.get(key, _OPENING)
+            if last is _OPENING:
+                last = intervals[key] = self._open(station, *key)
+                if last is not None and not last.frames:
+                    last.time, last.cause, last.speakers = time, cause, speaker
+                    last.late_half, last.length = late_half, length
+                    last.frames.append(frame)
+                    continue
+            if last is None:
                 continue
             if not late_half:
                 last.late_half = False
@@ -566,6 +557,31 @@ class Observer:
                 else:
                     last.frames[-1], last.cut = frame, True
         station.cursor = self._dropped + len(log)
+
+    @staticmethod
+    def _open(station: Station, kind: Kind, var_id: int) -> Interval | None:
+        """Return the interval since the node's last beacon, without frames if it is new.
+
+        None if the records do not count: the node's last statement of the number is too old, beacons of it are missing
+        since then, or it has too many open occasions.
+        """
+        beacons, opened_of = station.beacons, station.open
+        opened = opened_of.get(var_id)
+        if opened is None and len(opened_of) >= MOST_OPEN:
+            return None
+        if kind in _ABSENT:
+            station.waiting[var_id] = None
+        elif station.stated_at[var_id] < max(station.gap, beacons - _FRESH):
+            return None
+        if opened is None:
+            opened = opened_of[var_id] = {}
+        intervals = opened.setdefault(kind, [])
+        if not intervals or intervals[-1].begin != beacons:
+            intervals.append(Interval(beacons))
+            if len(intervals) > _OPEN:
+                intervals.pop(0)
+                intervals[0].cut = True
+        return intervals[-1]
 
 
 def _exposure(intervals: Sequence[Interval]) -> Exposure:
