@@ -360,6 +360,11 @@ class Ledger:
             self._reach(entry, voice)
         return entry
 
+    def number(self, node: bytes, var_id: int) -> int | None:
+        """Return the present number of a variable at a node, or DELETED or UNKNOWN; None without a record about it."""
+        entry = self.held(node, var_id)
+        return None if entry is None else entry.number
+
     def holds(self, node: bytes) -> int:
         """Return the number of variables that a node holds at present."""
         voice = self._voices.get(node)
