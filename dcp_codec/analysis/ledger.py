@@ -140,6 +140,7 @@ class Ledger:
         self.interval = 1_000_000
         """Resolution of time in ns: only the last state of a pair in an interval is kept."""
         self.begin: int | None = None
+        """Time of the first beacon, ns since 1970; None before. Users set it if earlier beacons have no records."""
         self.end = 0
 
     # -- input ---------------------------------------------------------------------------------------------------------

@@ -188,6 +188,8 @@ class Context:
         self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
+        if self.ledger.begin is None:
+            self.ledger.begin = seen.time
         if seen.parts:
             sender = self.senders.get(seen.sender)
             if sender is None:

@@ -17,7 +17,8 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import NetworkSituation, record
+from dcp_conformance.reference.networks import SECOND, NetworkSituation, record
+from dcp_selftest.recordings.lines import FAULTS, LINKS, NODES, PROFILE, recorded
 
 from dcp_codec.capture import create_capture
 from dcp_codec.codec import Codec
@@ -27,7 +28,7 @@ from dcp_codec.report.findings import read_findings
 from dcp_codec.report.holding import holding
 from dcp_codec.report.recorded import gather
 
-from .lines import FAULTS, LINKS, NODES, PROFILE, recorded
+from ..air import Script
 
 pytestmark = pytest.mark.part("suite")
 
@@ -132,6 +133,20 @@ def test_why_tells_the_way_of_a_value():
         assert f"after frame {before.frame} of {before.node} (the only frame with it before)" in step.text
         assert frame_of(before.frame, "stuck").hex(":") == before.node
     assert reply.stopped == ()
+
+
+def test_times_begin_with_the_first_frame_also_if_it_has_no_record_of_a_variable():
+    air = Script()
+    air.say(1, report=air.report(1))
+    air.time += 5 * SECOND
+    air.say(1, air.create(7, 1))
+    judge = Judge(air.codec, Pics(), recording="air")
+    for frame in air.frames:
+        judge.feed(frame)
+    run = judge.result()
+    seconds = (air.frames[1].time_ns - air.frames[0].time_ns) / 1e9
+    assert why(judge, 7, "01", None).holds.seconds == pytest.approx(seconds, abs=1e-3)
+    assert run.holdings["begin_ns"] == air.frames[0].time_ns
 
 
 def test_why_tells_where_a_value_stops():
