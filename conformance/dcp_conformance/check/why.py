@@ -103,7 +103,9 @@ class _Question:
             elif held is not None and held.number == newest.number:
                 text += f", as {producer} does"
             else:
-                text += f"; {producer} has {newest.number}" + (f", {missed} numbers later" if missed else "")
+                text += f"; {producer} has {newest.number}" + (
+                    f", {missed} number{'' if missed == 1 else 's'} later" if missed else ""
+                )
             if held is not None and held.left is not None and held.left.time <= self._time:
                 text += f", and left this state {(self._time - held.left.time) / 1e9:.1f} s before"
         if held is None:

@@ -81,6 +81,8 @@ class Recording(NamedTuple):
     """A recording with its ground truth."""
 
     frames: tuple[Frame, ...]
+    begin: int
+    """Time of second 0 by the recorder's clock, ns since 1970."""
     numbers: dict[tuple[int, int, int], int | None]
     """(second, node, variable) -> number of the value in the database of the node; None without the variable."""
 
@@ -104,6 +106,7 @@ def record_line(fault: str = "", loss: float = 0.0, seconds: int = 40) -> Record
         vardis=VardisConfig(),
     )  # fmt: skip
     frames: list[Frame] = []
+    begin = network.wall
 
     class _Recorder:
         def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
@@ -147,4 +150,4 @@ def record_line(fault: str = "", loss: float = 0.0, seconds: int = 40) -> Record
     for second in range(2, seconds):
         network.at(second * SECOND, partial(read, second))
     network.run_until(seconds * SECOND)
-    return Recording(tuple(frames), numbers)
+    return Recording(tuple(frames), begin, numbers)
