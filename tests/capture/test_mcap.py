@@ -536,11 +536,27 @@ def test_a_record_costs_a_binary_search_in_the_index(tmp_path, monkeypatch):
 
 def test_a_chunk_of_unknown_compression_is_skipped():
     octets = written()
-    frames, reader = read(octets.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0rar!", 1))
+    packed = octets.index(b"\x04\0\0\0zstd") + 8 + 8
+    frames, reader = read(octets[:packed] + b"Rar!" + octets[packed + 4 :])
     assert 0 < len(frames) < len(FRAMES)
     (problem,) = reader.problems
     assert problem.reason == "bad-compression"
+    frames, reader = read(octets.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0rar!", 1))
+    assert len(frames) == len(FRAMES)
+    (problem,) = reader.problems
     assert "'rar!', which is not known" in problem.message
+    assert "read all the same" in problem.message
+
+
+@pytest.mark.parametrize(("compression", "length"), [("zstd", 44), ("lz4", 43), ("none", 49)])
+def test_an_inverted_bit_in_the_head_of_a_chunk_costs_no_frame(compression, length):
+    octets = written(FRAMES[:20], compression=compression)
+    head = next(offset for opcode, offset, _ in records(octets) if opcode == 0x06) + 9
+    for place in range(head, head + length):
+        for bit in (0, 3, 7):
+            data = bytearray(octets)
+            data[place] ^= 1 << bit
+            assert plain(read(bytes(data))[0]) == plain(FRAMES[:20]), (place - head, bit)
 
 
 def test_a_chunk_that_cannot_be_decompressed_is_skipped():
