@@ -38,6 +38,12 @@ class Production:
         self._with: dict[bytes, Entry] = {}
         """Node -> its last state with the present number of the producer."""
 
+    def lag(self, entry: Entry) -> int | None:
+        """Return how many values the producer has had since that of a state; None if that is not known."""
+        if entry.node == self.node:
+            return 0
+        return self._counts[-1] - entry.count if entry.count >= 0 else None
+
     def begins(self, entry: Entry) -> None:
         """Process the next state of a node."""
         if entry.node != self.node:

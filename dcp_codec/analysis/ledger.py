@@ -381,6 +381,11 @@ class Ledger:
         """The variables whose states are compared: those whose creates name one producer."""
         return frozenset(self._productions)
 
+    def lag(self, entry: Entry) -> int | None:
+        """Return the present lag of a state in values of the producer; None if that is not known."""
+        production = self._productions.get(entry.var_id)
+        return None if production is None else production.lag(entry)
+
     def stale(self, period_ns: float = 0) -> list[Entry]:
         """Return the states that nodes have kept for too long after the producer had left them, by variable and time.
 
