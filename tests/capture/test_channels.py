@@ -311,7 +311,7 @@ def test_readable_parts_of_a_malformed_frame_have_messages():
     assert decoded(codec, b"")["/dcp/bp"][0]["payloads"] == []
 
 
-def test_what_nodes_hold():
+def test_holdings_of_nodes():
     codec = get_codec("dcp-2.0")
     one, two = b"\x02\0\0\0\0\1", b"\x02\0\0\0\0\2"
     create = VarCreate(VarSpec(7, one, 1, b"x", 5, 0), VarUpdate(7, 0, b"v"))
