@@ -103,8 +103,12 @@ def test_results_state_where_the_links_come_from():
 
 
 def test_the_lag_of_a_stuck_node():
-    judge, _ = judged("stuck", links=False)
+    judge, run = judged("stuck", links=False)
     longest = max(judge.ledger.stale(), key=lambda each: each.age)
+    # The finding has the time at which the producer left the number.
+    (agrees,) = [case for case in run.cases if case.id == "CK_NET_AGREES"]
+    begin = judge.ledger.begin
+    assert (longest.left.time - begin) / 1e9 in [pytest.approx(check.seconds, abs=1e-5) for check in agrees.checks]
     assert (longest.var_id, longest.number, longest.newest.number, longest.missed) == (1, 20, 50, 30)
     assert longest.node in NODES[2:]
     assert longest.deleted

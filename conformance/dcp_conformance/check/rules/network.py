@@ -25,7 +25,6 @@ from dcp_conformance.check.statements import (
     statement_of,
 )
 from dcp_conformance.model.circular import Circle
-from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
 #: Number of beacons with room in which a node must send the value whose number its summaries state.
@@ -140,11 +139,6 @@ class Backed(Invariant):
         self._of_all += held - sum(map(len, self._unbacked.values()))
 
 
-def _mark(entry: Entry) -> Mark:
-    """Return the place of the first record with a state."""
-    return Mark(entry.frame, path=f"{entry.kind.label} {entry.var_id}")
-
-
 class Agreement(Invariant):
     """Compare the numbers at all nodes with that of the producer; differences are reported as info."""
 
@@ -180,7 +174,7 @@ class Agreement(Invariant):
             if held.asked:
                 text += f"; the node requests the update {held.asked} times"
             key = (held.node, held.var_id, what)
-            self.violated(text, [_mark(left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
+            self.violated(text, [held, left], expected=what, verdict=Verdict.INFO, once=key)
 
 
 @dataclass(slots=True)
