@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from .ledger import Entry, Stamp
+from .entry import Entry, Stamp
 
 Hears = Callable[[bytes, bytes], bool | None]
 """Whether a node (first argument) hears another one; None if that is not known."""
@@ -30,26 +31,27 @@ class Hop(NamedTuple):
 def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:
     """Return for each state, in the order of time, the frame that brought it; none for those of producers."""
     carriers: dict[tuple[int, int], dict[bytes, Entry]] = {}
+    known: dict[tuple[bytes, bytes], bool] = {}
+    """Pair of nodes -> whether the first one may hear the other one."""
     hops = []
     for each in entries:
-        known = carriers.setdefault((each.var_id, each.number), {})
+        others = carriers.setdefault((each.var_id, each.number), {})
         best: tuple[Stamp, Entry] | None = None
-        frames = 0
-        if each.number >= 0 and producers.get(each.var_id) != each.node:
-            for other in known.values():
+        frames, node, time, frame = 0, each.node, each.time, (each.frame,)
+        if each.number >= 0 and producers.get(each.var_id) != node:
+            for who, other in others.items():
                 # Numbers are used again: the node that sent the value still states it, or did so shortly before.
-                if (
-                    other.node == each.node
-                    or each.time - other.until > _RECENT
-                    or hears(each.node, other.node) is False
-                ):
+                if who == node or not other.carried or time - other.until > _RECENT:
                     continue
-                before = [stamp for stamp in other.carried if stamp[0] < each.frame]
-                frames += len(before)
-                if before and (best is None or before[-1] > best[0]):
-                    best = before[-1], other
+                may = known.get((node, who))
+                if may is None:
+                    may = known[node, who] = hears(node, who) is not False
+                before = bisect_left(other.carried, frame) if may else 0
+                frames += before
+                if before and (best is None or other.carried[before - 1] > best[0]):
+                    best = other.carried[before - 1], other
         hops.append(Hop(each, None, None, 0) if best is None else Hop(each, best[1], best[0], frames))
-        known[each.node] = each
+        others[node] = each
     return hops
 
 

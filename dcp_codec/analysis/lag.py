@@ -1,69 +1,78 @@
-"""The lag of nodes relative to the producers of their variables: in sequence numbers, and in time."""
+"""The lag of nodes relative to the producer of a variable: in values, and in time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import groupby
+from bisect import bisect_left
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Final
 
-from .ledger import DELETED, Entry
+from .entry import DELETED, Entry
 
-
-class Lag(NamedTuple):
-    """A state that a node keeps although the producer of the variable has left it."""
-
-    held: Entry
-    """The state of the node."""
-    newest: Entry
-    """The last state of the producer with a number when the node stated its own for the last time."""
-    left: Entry
-    """The state with which the producer left that of the node."""
-    numbers: int
-    """Number of values of the producer that the node has not followed."""
-    deleted: Entry | None
-    """The state of the producer at that time if it has deleted the variable."""
-
-    @property
-    def age(self) -> int:
-        """Time in ns from the producer's change to the node's last record with the old state."""
-        return self.held.until - self.left.time
+PATIENCE: Final = 3_000_000_000
+"""Time in ns after which the number of a producer must have reached all nodes."""
+PATIENCE_BEACONS: Final = 10
+"""The same in beacons of a node."""
+#: Number of states of the producer that are kept; more than there are sequence numbers of one octet.
+_KEPT = 1024
 
 
-def lags(entries: Iterable[Entry], producers: Mapping[int, bytes]) -> Iterator[Lag]:
-    """Yield the stale states of nodes, by variable and time.
-
-    ``entries``: in the order of time. ``producers``: by variable.
-
-    Variables whose creates name several producers are left out, and so are states that the producer has not shown
-    before.
-    """
-    for var_id, group in groupby(sorted(entries, key=attrgetter("var_id")), key=attrgetter("var_id")):
-        of_variable = list(group)
-        producer = producers.get(var_id)
-        if producer is not None and all(not each.creation or each.creation[0] == producer for each in of_variable):
-            yield from _of_variable(of_variable, producer)
+def patience(period_ns: float) -> int:
+    """Return the age in ns from which a state is stale, for nodes with this beacon period."""
+    return max(PATIENCE, round(PATIENCE_BEACONS * period_ns))
 
 
-def _of_variable(entries: Iterable[Entry], producer: bytes) -> Iterator[Lag]:
-    """Yield the lags of one variable; ``entries`` are in the order of time."""
-    own: list[Entry] = []
-    place: dict[int, int] = {}
-    """Number -> the last state of the producer with it."""
-    found: list[tuple[Entry, int]] = []
-    for each in entries:
-        if each.node == producer:
-            place[each.number] = len(own)
-            own.append(each)
-        elif each.number >= 0 and each.number in place:
-            found.append((each, place[each.number]))
-    for held, at in found:
-        if at + 1 == len(own) or own[at + 1].time >= held.until:
-            continue
-        last = at + 1
-        while last + 1 < len(own) and own[last + 1].time < held.until:
-            last += 1
-        since = own[at : last + 1]
-        newest = next(each for each in reversed(since) if each.number >= 0)
-        missed = sum(each.number >= 0 for each in since[1:])
-        yield Lag(held, newest, own[at + 1], missed, own[last] if own[last].number == DELETED else None)
+class Production:
+    """The latest states of a variable at its producer, and the states of other nodes that follow them."""
+
+    __slots__ = ("_base", "_counts", "_places", "_states", "_with", "node")
+
+    def __init__(self, node: bytes) -> None:
+        self.node = node
+        self._states: list[Entry] = []
+        self._counts: list[int] = []
+        """For each state the number of states with a number up to it."""
+        self._base = 0
+        """Number of earlier states, which are not kept."""
+        self._places: dict[int, int] = {}
+        """Number -> place of the last state with it."""
+        self._with: dict[bytes, Entry] = {}
+        """Node -> its last state with the present number of the producer."""
+
+    def lag(self, entry: Entry) -> int | None:
+        """Return how many values the producer has had since that of a state; None if that is not known."""
+        if entry.node == self.node:
+            return 0
+        return self._counts[-1] - entry.count if entry.count >= 0 else None
+
+    def begins(self, entry: Entry) -> None:
+        """Process the next state of a node."""
+        if entry.node != self.node:
+            place = self._places.get(entry.number, -1) - self._base if entry.number >= 0 else -1
+            if place < 0:
+                return
+            entry.count = self._counts[place]
+            if place == len(self._states) - 1:
+                self._with[entry.node] = entry
+            else:
+                entry.left = self._states[place + 1]
+            return
+        for each in self._with.values():
+            each.left = entry
+        self._with.clear()
+        self._places[entry.number] = self._base + len(self._states)
+        self._counts.append((self._counts[-1] if self._counts else 0) + (entry.number >= 0))
+        self._states.append(entry)
+        if len(self._states) > 2 * _KEPT:
+            del self._states[:_KEPT], self._counts[:_KEPT]
+            self._base += _KEPT
+
+    def compare(self, entry: Entry) -> None:
+        """Set what the producer had done when a node stated its number for the last time."""
+        if entry.age <= 0:
+            return
+        last = max(bisect_left(self._states, entry.until, key=attrgetter("time")) - 1, 0)
+        entry.missed = self._counts[last] - entry.count
+        entry.deleted = self._states[last].number == DELETED
+        while self._states[last].number < 0 and last:
+            last -= 1
+        entry.newest = self._states[last]

@@ -13,10 +13,9 @@ resolution of time decreases.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from itertools import repeat
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from dcp_spec.constants import ICType
@@ -24,24 +23,18 @@ from dcp_spec.constants import ICType
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, VarSumm
 
-DELETED: Final = -1
-"""In place of a sequence number: the node has deleted the variable."""
-UNKNOWN: Final = -2
-"""In place of a sequence number: the node has asked for the variable's creation, or has sent no record about it."""
+from .entry import DELETED, UNKNOWN, Creation, Entry, Stamp
+from .lag import PATIENCE, Production, patience
 
 CREATE, UPDATE, SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
 DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 """Local aliases: access to enum members costs more time than most rules."""
 
-Creation = tuple[bytes, int | None]
-"""The identity of a creation: prodId, and creationTime (None before 2.0)."""
-Stamp = tuple[int, int]
-"""Number of a frame and its time in ns since 1970."""
-
 #: Maximum number of pairs of node and variable that are followed, and of entries that are kept exactly.
 MOST_PAIRS, MOST_ENTRIES = 1 << 18, 60_000
-#: Number of frames with the value that an entry keeps: the first ones, and the last one.
-_CARRIED = 8
+#: Maximum number of stale states that are kept.
+_STALE = 10_000
+_BY_VARIABLE = attrgetter("var_id", "time", "frame")
 
 
 class Statement(msgspec.Struct, frozen=True, gc=False):
@@ -103,50 +96,10 @@ def statement(kind: ICType, record: Any, frame: int, time: int, sender: bytes) -
     return Statement(kind, record, frame, time, sender, record.var_id, number)
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """One state of a variable at a node.
-
-    ``number`` is its sequence number, or :data:`DELETED` or :data:`UNKNOWN`; ``creation`` is from the node's last
-    create, None if it sent none.
-    """
-
-    node: bytes
-    var_id: int
-    number: int
-    creation: Creation | None
-    kind: ICType
-    """Type of the first record with this state."""
-    frame: int
-    """Number of its frame."""
-    time: int
-    """Time of that frame, ns since 1970."""
-    last: int
-    """Number of the last frame with this state."""
-    until: int
-    """Time of that frame, ns since 1970."""
-    carried: list[Stamp] = field(default_factory=list)
-    """Frames in which the node sent the value (creates and updates): the first ones, and the last one."""
-    values: int = 0
-    """Number of these frames."""
-    asked: int = 0
-    """Number of its requests in this state."""
-    last_asked: Stamp | None = None
-    """The last one of them."""
-
-    def carry(self, frame: int, time: int) -> None:
-        """Note a frame with the value."""
-        self.values += 1
-        if len(self.carried) < _CARRIED:
-            self.carried.append((frame, time))
-        else:
-            self.carried[-1] = (frame, time)
-
-
 class _Voice:
     """The statements of one node since the last gap in its beacons, and its entries."""
 
-    __slots__ = ("again", "entries", "last", "numbers", "odd", "unbroken")
+    __slots__ = ("again", "entries", "held", "last", "numbers", "odd", "unbroken")
 
     def __init__(self, unbroken: int) -> None:
         self.unbroken = unbroken
@@ -159,6 +112,8 @@ class _Voice:
         """Variable -> the last summary that repeats that number after the record in ``last``."""
         self.entries: dict[int, Entry] = {}
         """Variable -> its present state at the node."""
+        self.held = 0
+        """Number of variables that the node holds."""
         self.odd: set[int] = set()
         """Variables that the node has requested although it holds them, until it states their numbers again."""
 
@@ -176,11 +131,16 @@ class Ledger:
         """The states that the last beacon begins."""
         self.producers: dict[int, bytes] = {}
         """By variable: the prodId of the most recent creation."""
+        self._productions: dict[int, Production] = {}
+        """By variable: the states of its producer. Variables whose creates name several producers have none."""
+        self._stale: list[Entry] = []
+        """Ended states that were stale."""
         self._changes: list[tuple[int, int, bytes]] = []
         """Changes of producers: time, variable, node."""
         self.interval = 1_000_000
         """Resolution of time in ns: only the last state of a pair in an interval is kept."""
         self.begin: int | None = None
+        """Time of the first beacon, ns since 1970; None before. Users set it if earlier beacons have no records."""
         self.end = 0
 
     # -- input ---------------------------------------------------------------------------------------------------------
@@ -227,7 +187,7 @@ class Ledger:
                     voice.again[var_id] = stamp
                     count += 1
                     if var_id in voice.odd:
-                        self._state(Statement(kind, record, *stamp, node, var_id, number), voice, number)
+                        self._state(frame, time, node, kind, var_id, number, None, voice)
                 else:
                     news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), voice))
         return news, count
@@ -240,65 +200,111 @@ class Ledger:
         if before is not None and again is not None:
             number = before.number
             before = Statement(SUMMARY, VarSumm(var_id, number), *again, each.sender, var_id, number)
+        number, created = each.number, None
+        if kind is CREATE:
+            created = each.record.spec.prod_id, each.record.spec.creation_time
+        elif kind is DELETE:
+            number = DELETED
+        elif kind is ASK_CREATE:
+            number = UNKNOWN
+        self._state(each.frame, each.time, each.sender, kind, var_id, number, created, voice)
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            self._state(each, voice, each.number)
             if var_id in voice.entries:
                 voice.last[var_id], voice.numbers[var_id] = each, each.number
             if again is not None:
                 del voice.again[var_id]
-        elif kind is DELETE:
-            self._state(each, voice, DELETED)
-            if before is not None:
-                del voice.last[var_id], voice.numbers[var_id]
-                voice.again.pop(var_id, None)
-        elif kind is ASK_CREATE:
-            self._state(each, voice, UNKNOWN)
-        else:
-            self._state(each, voice, each.number)
+        elif kind is DELETE and before is not None:
+            del voice.last[var_id], voice.numbers[var_id]
+            voice.again.pop(var_id, None)
         return News(each, before)
 
-    def _state(self, each: Statement, voice: _Voice, number: int) -> None:
+    def follow(
+        self, frame: int, time: int, node: bytes, kind: ICType, var_id: int, number: int, creation: Creation | None
+    ) -> None:
+        """Process a record by its fields: only the first and the last one of each state, and all creates, are needed.
+
+        ``number``: as in :class:`Entry`. ``creation``: of a create. Records of a variable must be in order.
+        """
+        if self.begin is None:
+            self.begin = self.end = time
+        self.end = max(self.end, time)
+        voice = self._voices.get(node)
+        if voice is None:
+            voice = self._voices[node] = _Voice(0)
+        self._state(frame, time, node, kind, var_id, number, creation, voice)
+
+    def _state(
+        self,
+        frame: int,
+        time: int,
+        node: bytes,
+        kind: ICType,
+        var_id: int,
+        number: int,
+        created: Creation | None,
+        voice: _Voice,
+    ) -> None:
         """Begin an entry, or continue the present one."""
-        kind, var_id = each.kind, each.var_id
         entry = voice.entries.get(var_id)
-        creation = None if entry is None else entry.creation
-        if kind is CREATE:
-            spec = each.record.spec
-            creation = (spec.prod_id, spec.creation_time)
-            if self.producers.get(var_id) != spec.prod_id:
-                self.producers[var_id] = spec.prod_id
-                self._changes.append((self.end, var_id, spec.prod_id))
+        creation = created if created is not None or entry is None else entry.creation
+        if created is not None and self.producers.get(var_id) != created[0]:
+            self._produced(var_id, created[0])
         # The first create of a state tells which creation it belongs to.
         if entry is not None and entry.number == number and (entry.creation == creation or entry.creation is None):
-            entry.creation, entry.last, entry.until = creation, each.frame, each.time
+            entry.creation, entry.last, entry.until = creation, frame, time
         else:
             if entry is not None:
                 self._close(entry, voice)
+                voice.held -= entry.number >= 0
             elif self._pairs < self._most:
                 self._pairs += 1
             else:
                 return
-            entry = voice.entries[var_id] = Entry(
-                each.sender, var_id, number, creation, kind, each.frame, each.time, each.frame, each.time
-            )
+            entry = voice.entries[var_id] = Entry(node, var_id, number, creation, kind, frame, time, frame, time)
+            voice.held += number >= 0
             self._begun.append(entry)
+            if (production := self._productions.get(var_id)) is not None:
+                production.begins(entry)
         if kind is UPDATE or kind is CREATE:
-            entry.carry(each.frame, each.time)
+            entry.carry(frame, time)
         elif kind is ASK_UPDATE or kind is ASK_CREATE:
             entry.asked += 1
-            entry.last_asked = (each.frame, each.time)
+            entry.last_asked = (frame, time)
             if var_id in voice.numbers and (kind is ASK_CREATE or voice.numbers[var_id] != number):
                 voice.odd.add(var_id)
             return
         if voice.odd:
             voice.odd.discard(var_id)
 
+    def _produced(self, var_id: int, producer: bytes) -> None:
+        """Process a create with another producer than the ones before."""
+        self._changes.append((self.end, var_id, producer))
+        if var_id in self.producers:
+            self._productions.pop(var_id, None)
+        else:
+            production = Production(producer)
+            for each in self.entries(var_id):
+                production.begins(each)
+            for each in self._ended:
+                if each.var_id == var_id:
+                    self._compare(production, each)
+            self._productions[var_id] = production
+        self.producers[var_id] = producer
+
     def _close(self, entry: Entry, voice: _Voice) -> None:
         """End the present state of a variable at a node."""
         self._reach(entry, voice)
         self._ended.append(entry)
+        if entry.left is not None and (production := self._productions.get(entry.var_id)) is not None:
+            self._compare(production, entry)
         if len(self._ended) > self._room:
             self._coarser()
+
+    def _compare(self, production: Production, ended: Entry) -> None:
+        """Compare an ended state with the producer's, and keep it if it was stale."""
+        production.compare(ended)
+        if ended.age >= PATIENCE and len(self._stale) < _STALE:
+            self._stale.append(ended)
 
     @staticmethod
     def _reach(entry: Entry, voice: _Voice) -> None:
@@ -336,6 +342,17 @@ class Ledger:
         """Return all senders, in the order of their first beacon."""
         return list(self._voices)
 
+    def _present(self) -> list[Entry]:
+        """Return the present states, up to date."""
+        found = []
+        for voice in self._voices.values():
+            for entry in voice.entries.values():
+                self._reach(entry, voice)
+                if entry.left is not None and (production := self._productions.get(entry.var_id)) is not None:
+                    production.compare(entry)
+                found.append(entry)
+        return found
+
     def held(self, node: bytes, var_id: int) -> Entry | None:
         """Return the present state of a variable at a node; None if it has sent no record about it."""
         voice = self._voices.get(node)
@@ -344,18 +361,40 @@ class Ledger:
             self._reach(entry, voice)
         return entry
 
-    def entries(self, var_id: int | None = None, node: bytes | None = None) -> list[Entry]:
-        """Return the states of a variable and a node (default: all), in the order of time."""
-        for voice in self._voices.values():
-            for entry in voice.entries.values():
-                self._reach(entry, voice)
-        now = (each for voice in self._voices.values() for each in voice.entries.values())
-        found = [
-            each
-            for each in (*self._ended, *now)
-            if (var_id is None or each.var_id == var_id) and (node is None or each.node == node)
-        ]
+    def number(self, node: bytes, var_id: int) -> int | None:
+        """Return the present number of a variable at a node, or DELETED or UNKNOWN; None without a record about it."""
+        entry = self.held(node, var_id)
+        return None if entry is None else entry.number
+
+    def holds(self, node: bytes) -> int:
+        """Return the number of variables that a node holds at present."""
+        voice = self._voices.get(node)
+        return 0 if voice is None else voice.held
+
+    def entries(self, var_id: int | None = None) -> list[Entry]:
+        """Return the states of a variable (default: all) at all nodes, in the order of time."""
+        found = [each for each in (*self._ended, *self._present()) if var_id is None or each.var_id == var_id]
         return sorted(found, key=attrgetter("time", "frame"))
+
+    @property
+    def compared(self) -> frozenset[int]:
+        """The variables whose states are compared: those whose creates name one producer."""
+        return frozenset(self._productions)
+
+    def lag(self, entry: Entry) -> int | None:
+        """Return the present lag of a state in values of the producer; None if that is not known."""
+        production = self._productions.get(entry.var_id)
+        return None if production is None else production.lag(entry)
+
+    def stale(self, period_ns: float = 0) -> list[Entry]:
+        """Return the states that nodes have kept for too long after the producer had left them, by variable and time.
+
+        ``period_ns``: the longest beacon period of the nodes in ns. A state is stale from three seconds, and ten
+        beacons, after the producer has left it. Variables whose creates name several producers have no stale states.
+        """
+        least = patience(period_ns)
+        found = [each for each in (*self._stale, *self._present()) if each.age >= least]
+        return sorted((each for each in found if each.var_id in self._productions), key=_BY_VARIABLE)
 
     def as_json(self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None) -> dict[str, Any]:
         """Return the states for programs and pages: times in intervals since ``begin``, nodes and variables by index.

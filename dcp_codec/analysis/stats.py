@@ -1,5 +1,7 @@
 """Statistics of a recording: beacons, loss and intervals per sender, containers and records by type, variables.
 
+The ledger tells which nodes hold the numbers of variables, and which of them are stale.
+
 A malformed beacon whose blocks can be separated counts as a beacon, with its readable parts. Memory is bounded: there
 are counters per sender and per variable, with an upper limit on both.
 """
@@ -19,6 +21,8 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.framing.locate import Framing, OtherTraffic, mac
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
+
+from .ledger import Ledger
 
 #: Senders and variables beyond this number share one counter.
 MAX_KEYS = 65_536
@@ -150,6 +154,7 @@ class Stats:
         self.reasons: Counter[str] = Counter()
         self.other_traffic: Counter[str] = Counter()
         self.last_values: dict[int, tuple[int, str]] = {}
+        self.ledger = Ledger()
         self.first_time_ns: int | None = None
         self.last_time_ns: int | None = None
         #: (frame number, problem) of the first malformed frames.
@@ -195,6 +200,8 @@ class Stats:
             key = sender if len(self.senders) < MAX_KEYS else "others"
             stats = self.senders.setdefault(key, SenderStats())
         stats.add(seqno, frame.time_ns)
+        who = beacon.bp.sender_id if beacon.bp is not None else framing.src or b""
+        self.ledger.feed(frame.number, frame.time_ns, who, beacon)
         for payload in beacon.payloads:
             match self._kind(payload):
                 case "srp":
@@ -227,6 +234,25 @@ class Stats:
             if update.var_id in self.last_values or len(self.last_values) < MAX_KEYS:
                 self.last_values[update.var_id] = (update.seqno, update.value.hex())
 
+    def _variables(self) -> dict[str, dict[str, Any]]:
+        """Return for each variable with one producer: how many nodes hold its number, and which had a stale one."""
+        ledger, representation = self.ledger, self.codec.profile.types.node_id.representation
+        period = max((each.intervals.mean for each in self.senders.values()), default=0.0)
+        stale = ledger.stale(period)
+        found = {}
+        for var_id in sorted(ledger.compared):
+            producer = ledger.producers[var_id]
+            number = ledger.number(producer, var_id)
+            late = [each for each in stale if each.var_id == var_id]
+            found[str(var_id)] = {
+                "producer": node_id_text(producer, representation),
+                "nodes": sum(ledger.number(node, var_id) is not None for node in ledger.nodes),
+                "current": sum(ledger.number(node, var_id) == number for node in ledger.nodes),
+                "stale": len({each.node for each in late}),
+                "longest_lag_s": round(max((each.age for each in late), default=0) / 1e9, 6),
+            }
+        return found
+
     def as_json(self) -> dict[str, Any]:
         """Return the object that ``dcp-codec stats --format json`` prints; counters have the specification's names."""
         span = None
@@ -252,6 +278,7 @@ class Stats:
             "errors": self.malformed,
             "error_reasons": dict(self.reasons.most_common()),
             "other_traffic": dict(self.other_traffic.most_common()),
+            "variables": self._variables(),
             "last_sent_value": {
                 str(var_id): {"seqno": seqno, "value": value}
                 for var_id, (seqno, value) in sorted(self.last_values.items())

@@ -44,6 +44,9 @@ _PAYLOADS = (("srp", "srp", "SRP"), ("vardis", "vardis", "VarDis"), ("other_payl
 def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: str) -> int:
     """Count beacons, loss, intervals, containers and records, and the last value of every variable.
 
+    For each variable with one producer: how many of the nodes have its last number, how many nodes had a
+    stale number (3 s and ten beacons after the producer left it), and the longest lag.
+
     With --format json, one object for one file, and a list of objects for several.
     """
     found: list[dict[str, Any]] = []
@@ -148,10 +151,16 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
     if data["last_sent_value"]:
         table = Table(box=None, padding=padding, header_style="bold")
         table.add_column("variable", no_wrap=True, min_width=len("variable"))
-        table.add_column("seqno", justify="right", min_width=len("seqno"))
+        for heading in ("seqno", "nodes", "stale", "lag s"):
+            table.add_column(heading, justify="right", min_width=len(heading))
         table.add_column("last value sent", overflow="fold")
         for var_id, last in data["last_sent_value"].items():
-            table.add_row(var_id, str(last["seqno"]), last["value"])
+            known = data["variables"].get(var_id)
+            row = ("-",) * 3
+            if known is not None:
+                lag = f"{known['longest_lag_s']:.1f}" if known["stale"] else "-"
+                row = (f"{known['current']} of {known['nodes']}", str(known["stale"]), lag)
+            table.add_row(var_id, str(last["seqno"]), *row, last["value"])
         console.print()
         console.print(table)
     if examples:

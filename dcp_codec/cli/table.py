@@ -32,9 +32,10 @@ def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]
 
 def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     """Refuse tables that no recording of that profile can have; a profile may define record types."""
+    from dcp_codec.table.holdings import HOLDINGS
     from dcp_codec.table.kernel.shape import TABLES, table_names
 
-    known = TABLES if profile == "auto" else table_names(load_codec(profile).profile)
+    known = (*(TABLES if profile == "auto" else table_names(load_codec(profile).profile)), HOLDINGS)
     for name in names or ():
         if name not in known:
             raise click.BadParameter(
@@ -66,7 +67,13 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     type=click.Choice(["parquet", "csv", "duckdb"]),
     help="Format of the tables.  [default: by the suffix of --out, or parquet]",
 )
-@click.option("--tables", multiple=True, callback=_tables, metavar="NAME,...", help="Write only these tables.")
+@click.option(
+    "--tables",
+    multiple=True,
+    callback=_tables,
+    metavar="NAME,...",
+    help="Write only these tables; 'holdings' is written only if it is named.",
+)
 @click.option(
     "-j",
     "--jobs",

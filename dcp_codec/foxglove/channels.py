@@ -6,6 +6,7 @@ topic                  schema                one message for each
 ``/dcp/bp``            dcp.Beacon            beacon: addresses, header, payload blocks, padding, errors
 ``/dcp/srp``           dcp.StateReport       state report
 ``/dcp/vardis``        dcp.VardisContainer   instruction container
+``/dcp/holdings``      dcp.Holding           change of a variable at a node, as its beacons state it
 ``/dcp/errors``        dcp.Problem           error or warning
 ``/dcp/pose/<node>``   foxglove.PoseInFrame  state report with a position, where the profile says which it is
 =====================  ====================  ==============================================================
@@ -29,6 +30,8 @@ from dcp_spec.profile.definition import Link, Profile
 from dcp_spec.version import __version__
 
 from dcp_codec.analysis.cartesian import cartesian_axes
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture import ChannelMessage, Frame
 from dcp_codec.codec import Codec
 from dcp_codec.export.jsonrecords import JSONSchema, ViewerRecord
@@ -62,7 +65,7 @@ class DecodedChannels:
 
     Frames that are not DCP in the profile have no messages. No frame makes it raise: a malformed frame has messages for
     its readable parts, except damaged state reports, and one for each error. ``link`` replaces the EtherType or UDP
-    port of the profile. An instance is for one file: it remembers which nodes have a topic.
+    port of the profile. An instance is for one file: it remembers which nodes have a topic, and what nodes hold.
     """
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
@@ -82,6 +85,8 @@ class DecodedChannels:
             if codec.report_plan is None:
                 name, about = ("dcp.OwnReport", "One SRP payload; this profile has no state reports.")
             self._report = _Channel("/dcp/srp", name, about, _BLOCK, columns)
+        self._holding = _Channel("/dcp/holdings", "dcp.Holding", "A change of a variable at a node.", _HOLDING)
+        self._ledger = Ledger()
         self._problem = _Channel("/dcp/errors", "dcp.Problem", "One problem of a frame.", _PROBLEM)
         self._poses = _Poses(codec.profile)
 
@@ -102,6 +107,8 @@ class DecodedChannels:
         for index, payload in enumerate(payloads):
             block = {**common, "payload": index, "errors": len(errors)}
             yield from self._content(frame, payload, block, sound=index not in damaged, clear=clear)
+        if any("vardis" in payload for payload in payloads):
+            yield from self._holdings(dissected, common)
         for problem in (*errors, *warnings):
             about = {"severity": problem.severity, "message": str(problem), **problem_json(problem)}
             yield self._problem.message(frame, common | about)
@@ -115,6 +122,22 @@ class DecodedChannels:
         found = dissected.codec.salvage(dissected.frame.data[framing.start : framing.end])
         clear = found.beacon is not None and found.clear and found.reading == "length"
         return {each.payload for each in found.damaged}, clear
+
+    def _holdings(self, dissected: DissectedFrame, common: dict[str, Any]) -> Iterator[ChannelMessage]:
+        """Yield the changes of variables that a beacon states."""
+        framing, frame = dissected.framing, dissected.frame
+        beacon = dissected.codec.salvage(frame.data[framing.start : framing.end]).beacon
+        if beacon is None:
+            return
+        node = beacon.bp.sender_id if beacon.bp is not None else framing.src or b""
+        for entry in self._ledger.feed(frame.number, frame.time_ns, node, beacon):
+            values = {
+                "varId": entry.var_id,
+                "state": {DELETED: "deleted", UNKNOWN: "unknown"}.get(entry.number, "held"),
+                "seqno": entry.number if entry.number >= 0 else None,
+                "lag": self._ledger.lag(entry) if entry.number >= 0 else None,
+            }
+            yield self._holding.message(frame, common | values)
 
     def _content(
         self, frame: Frame, payload: dict[str, Any], block: dict[str, Any], *, sound: bool, clear: bool
@@ -295,6 +318,17 @@ _ERRORS: dict[str, JSONSchema] = {
 _BLOCK: dict[str, JSONSchema] = {
     **_ERRORS,
     "payload": _integer("index of the payload block in the beacon, from 0"),
+}
+
+_HOLDING: dict[str, JSONSchema] = {
+    "varId": _integer("variable"),
+    "state": {
+        "type": "string",
+        "enum": ["held", "deleted", "unknown"],
+        "description": "state of the variable at the sender; unknown: it requests the create",
+    },
+    "seqno": _integer("sequence number that the sender states"),
+    "lag": _integer("number of later values that the producer has sent; missing if that is not known"),
 }
 
 _PROBLEM: dict[str, JSONSchema] = {

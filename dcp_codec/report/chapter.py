@@ -94,7 +94,7 @@ def _tiles(
     recorded: Recorded, time: Time, senders: Sequence[Sender], steps: Steps, held: holding.Holding
 ) -> list[tuple[str, str, str]]:
     malformed = recorded.outcome.malformed
-    stale = sum(pair.differs_at_end for pair in held.pairs)
+    stale = sum(pair.stale_at_end for pair in held.pairs)
     behind = sum(bool(pair.stale) for pair in held.pairs)
     lost, share = _lost(recorded, steps)
     tiles = [(f"{recorded.column('beacons', 'node').size:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
@@ -168,7 +168,7 @@ def _figures(
         ("values that a node never sent", f"{could - sent:,} of {could:,}"),
         ("time with a stale value", f"{short(100 * behind / known)} %"),
         ("longest lag", seconds_text(max((pair.age for pair in held.pairs), default=0.0))),
-        ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
+        ("stale at the end (node and variable)", f"{sum(pair.stale_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),
         ("dissemination delay, 95th percentile", quantile(0.95)),
         ("transmitted octets", f"{octets:,}"),

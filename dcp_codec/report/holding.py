@@ -1,4 +1,8 @@
-"""Compare the sequence number that each node holds of each variable, according to its beacons, with the producer's."""
+"""Compare the sequence number that each node holds of each variable, according to its beacons, with the producer's.
+
+The ledger decides which states are stale (:meth:`dcp_codec.analysis.ledger.Ledger.stale`), for this page and for
+``dcp-conformance check``.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from dcp_spec.constants import ICType, features
 
-from dcp_codec.analysis.ledger import DELETED
+from dcp_codec.analysis.entry import DELETED, Entry
+from dcp_codec.analysis.lag import patience
+from dcp_codec.analysis.ledger import Ledger
 
 from .analysis import Time, times_of
 from .recorded import Column, Recorded
@@ -17,8 +24,7 @@ from .series import usual_interval
 _NODES, _VARIABLES = 60, 200
 #: Time in seconds, and number of its beacons, without a record about a variable after which a node's state is unknown.
 _FORGOTTEN, _FORGOTTEN_BEACONS = 10.0, 20
-#: Minimum duration of a listed difference: in seconds, and in beacons of the node.
-_PATIENCE, _PATIENCE_BEACONS = 2.0, 10
+_SECOND = 1_000_000_000
 
 Span = tuple[float, float]
 
@@ -28,10 +34,9 @@ class Pair:
     """One node and one variable of another node. Spans are in seconds since the first frame.
 
     ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
-    or the node has not sent any. ``stale``: the stale part of them, which begins two seconds, and ten beacons of the
-    node, after the producer left the node's number. ``held`` and ``produced`` are the last numbers of node and
-    producer: DELETED, or None without any. ``values`` is the number of values of the producer that the node could have
-    sent, ``sent`` the number of those that it has sent.
+    or the node has not sent any. ``stale``: spans in which its state was stale. ``held`` and ``produced`` are the last
+    numbers of node and producer: DELETED, or None without any. ``values`` is the number of values of the producer that
+    the node could have sent, ``sent`` the number of those that it has sent.
     """
 
     variable: int
@@ -40,17 +45,24 @@ class Pair:
     known: list[Span] = field(default_factory=list)
     differs: list[Span] = field(default_factory=list)
     stale: list[Span] = field(default_factory=list)
-    #: The longest lag in seconds, and the largest one in values.
+    #: The longest lag of a stale state in seconds, and the largest one in values.
     age: float = 0.0
     numbers: int = 0
     held: int | None = None
     produced: int | None = None
+    #: Time of the last beacon of the node in seconds.
+    last: float = 0.0
     values: int = 0
     sent: int = 0
-    #: Whether the last numbers differ, and have differed for long while the node sent beacons.
-    differs_at_end: bool = False
+    #: Whether the last state of the node is stale.
+    stale_at_end: bool = False
     #: The claims of the node (None: none) and of the producer.
     claims: tuple[_Claims | None, _Claims] | None = None
+
+    @property
+    def absent(self) -> bool:
+        """Whether the node has sent no record about the variable, although the producer has it."""
+        return self.held is None and bool(self.differs)
 
     def at(self, second: float) -> tuple[int | None, int | None]:
         """Return the last numbers of node and producer before this time; None without any."""
@@ -64,12 +76,12 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Divergence:
-    """A long difference between the numbers of a node and of the producer.
+class Stale:
+    """A stale state of a node.
 
-    ``start`` is the time at which the producer left the node's number, ``age`` the longest lag. ``missed`` is
-    the number of the producer's values that the node did not send. ``frame`` is the frame in which the producer sent
-    the first of them. ``produced`` is the producer's number at the end of the difference.
+    ``start`` is the time at which the producer left the number ``held``, in frame ``frame``; the node stated it for the
+    last time at ``end``. ``produced`` is the producer's state at that time, ``missed`` the number of its values that
+    the node had not followed.
     """
 
     variable: int
@@ -77,12 +89,16 @@ class Divergence:
     producer: int
     start: float
     end: float
-    age: float
     to_the_end: bool
-    held: int | None
+    held: int
     produced: int
     missed: int
     frame: int
+
+    @property
+    def age(self) -> float:
+        """The lag in seconds."""
+        return self.end - self.start
 
 
 @dataclass
@@ -90,8 +106,8 @@ class Holding:
     """The comparison of all nodes. ``left_out`` is the number of pairs of node and variable that were not compared."""
 
     pairs: list[Pair] = field(default_factory=list)
-    divergences: list[Divergence] = field(default_factory=list)
-    #: Variables without a received VarCreate, or without a record of their producer.
+    stale: list[Stale] = field(default_factory=list)
+    #: Variables without a received VarCreate, with several producers, or without a record of their producer.
     without_producer: list[int] = field(default_factory=list)
     left_out: int = 0
 
@@ -116,9 +132,32 @@ class _Claims:
         return found
 
 
+def ledger_of(recorded: Recorded) -> Ledger:
+    """Return the ledger of a recording; nodes have the octets of their names."""
+    table, ledger = recorded.tables["held"], Ledger()
+    names = [name.encode() for name in recorded.nodes]
+    order = np.lexsort((table["frame"], table["node"], table["variable"]))
+    node, variable, number = (table[each][order] for each in ("node", "variable", "seqno"))
+    turns = np.ones(order.size + 1, bool)
+    turns[1:-1] = (node[1:] != node[:-1]) | (variable[1:] != variable[:-1]) | (number[1:] != number[:-1])
+    turns[:-1] |= table["producer"][order] >= 0
+    kept = order[turns[:-1] | turns[1:]]
+    kept = kept[np.argsort(table["frame"][kept], kind="stable")]
+    kinds = {int(each): each for each in ICType}
+    timed = features(recorded.codec.profile.spec_version).creation_time
+    columns = ("frame", "time", "node", "kind", "variable", "seqno", "producer", "creation")
+    for frame, time, who, kind, about, held, producer, creation in zip(
+        *(table[name][kept].tolist() for name in columns), strict=True
+    ):
+        created = None if producer < 0 else (names[producer], creation if timed else None)
+        ledger.follow(frame, time, names[who], kinds[kind], about, held, created)
+    return ledger
+
+
 def holding(recorded: Recorded, time: Time) -> Holding:
     """Compare the sequence numbers that nodes hold with those of the producers."""
-    held, found = recorded.tables["held"], Holding()
+    held, found, ledger = recorded.tables["held"], Holding(), ledger_of(recorded)
+    numbers = {name.encode(): place for place, name in enumerate(recorded.nodes)}
     claims = dict(_claims(held, time))
     spoken, chatter = np.unique(held["node"], return_counts=True)
     about, words = np.unique(held["variable"], return_counts=True)
@@ -126,20 +165,45 @@ def holding(recorded: Recorded, time: Time) -> Holding:
     variables = about[np.argsort(-words, kind="stable")][:_VARIABLES].tolist()
     found.left_out = max(0, spoken.size * about.size - len(nodes) * len(variables))
     beacons = {node: times_of(recorded, time, "beacons", node) for node in nodes}
+    period = max((usual_interval(each) for each in beacons.values()), default=0.0) * _SECOND
+    stale: dict[tuple[int, int], list[Entry]] = {}
+    for each in ledger.stale(period):
+        stale.setdefault((each.var_id, numbers[each.node]), []).append(each)
     for variable in variables:
-        known = recorded.variables.get(variable)
-        producer = known.producer if known is not None else -1
-        if (variable, producer) not in claims:
+        producer = numbers.get(ledger.producers.get(variable, b""), -1)
+        if variable not in ledger.compared or (variable, producer) not in claims:
             found.without_producer.append(variable)
             continue
         produced = claims[variable, producer].changes()
         for node in nodes:
             if node != producer and beacons[node].size:
                 pair = Pair(variable, node, producer)
-                found.divergences += _compare(pair, produced, claims.get((variable, node)), beacons[node])
+                _compare(pair, produced, claims.get((variable, node)), beacons[node])
+                for each in stale.get((variable, node), ()):
+                    _add(found, pair, each, ledger, time, patience(period))
                 found.pairs.append(pair)
-    found.divergences.sort(key=lambda each: (not each.to_the_end, -each.age))
+    found.stale.sort(key=lambda each: (not each.to_the_end, -each.age))
     return found
+
+
+def _add(found: Holding, pair: Pair, state: Entry, ledger: Ledger, time: Time, least: int) -> None:
+    """Add a stale state to the results; ``least`` is the age in ns from which it is stale."""
+    left, newest = state.left, state.newest
+    assert left is not None
+    assert newest is not None
+    start, end = (float(each) for each in time.seconds(np.array([left.time, state.until])))
+    last = time.first_ns + round(pair.last * _SECOND)
+    to_the_end = ledger.held(state.node, state.var_id) is state and last - state.until <= least
+    pair.stale.append((start + least / _SECOND, end))
+    pair.age, pair.numbers = max(pair.age, end - start), max(pair.numbers, state.missed)
+    pair.stale_at_end |= to_the_end
+    produced = DELETED if state.deleted else newest.number
+    found.stale.append(
+        Stale(
+            pair.variable, pair.node, pair.producer, start, end, to_the_end, state.number, produced, state.missed,
+            left.frame,
+        )
+    )  # fmt: skip
 
 
 def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, int], _Claims]]:
@@ -156,10 +220,10 @@ def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, in
             )
 
 
-def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Column) -> list[Divergence]:
-    """Set the fields of the pair; return the long differences."""
+def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Column) -> None:
+    """Set the fields of the pair that do not depend on stale states."""
     end, interval = float(beacons[-1]), usual_interval(beacons)
-    pair.produced = int(produced.number[-1])
+    pair.produced, pair.last = int(produced.number[-1]), end
     heard = np.zeros(produced.time.size, bool)
     if claimed is None:
         start = max(float(produced.time[0]), float(beacons[0]))
@@ -177,72 +241,6 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number >= 0)
     pair.values, pair.sent = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
-    patience = max(_PATIENCE, _PATIENCE_BEACONS * interval)
-    apart = pieces[differs]
-    left, numbers = _left(apart, produced, claimed)
-    # The number of a state is old from the change of the producer on; the pieces of one state have one such time.
-    late = apart[:, 1] > left + patience
-    if late.any():
-        pair.stale = _joined(np.stack([np.maximum(apart[:, 0], left + patience), apart[:, 1]], axis=1)[late])
-        pair.age, pair.numbers = float((apart[:, 1] - left).max()), int(numbers[late].max())
-    # The last beacon may end the difference.
-    final = np.array([end])
-    agrees = (
-        claimed is not None and not _differ(claimed.number[claimed.at(final)], produced.number[produced.at(final)])[0]
-    )
-    open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
-    found = []
-    for since, stop in pair.stale:
-        to_the_end = open_end and stop == end
-        pair.differs_at_end |= to_the_end
-        of_this = (apart[:, 1] > since) & (apart[:, 0] < stop)
-        start = float(left[of_this].min())
-        inside = (produced.time >= start) & (produced.time < stop)
-        missed = inside & ~heard
-        # The first missed value was sent before the start of the difference, or during it.
-        first = int(np.argmax(missed)) if missed.any() else int(max(produced.at(np.array([start]))[0], 0))
-        last = int(claimed.at(np.array([stop - 1e-9]))[0]) if claimed is not None else -1
-        found.append(
-            Divergence(
-                variable=pair.variable,
-                node=pair.node,
-                producer=pair.producer,
-                start=start,
-                end=stop,
-                age=float((apart[of_this, 1] - left[of_this]).max()),
-                to_the_end=to_the_end,
-                held=int(claimed.number[last]) if claimed is not None and last >= 0 else None,
-                produced=int(produced.number[max(int(produced.at(np.array([stop - 1e-9]))[0]), 0)]),
-                missed=int(missed.sum()),
-                frame=int(produced.frame[first]),
-            )
-        )
-    return found
-
-
-def _left(pieces: Column, produced: _Claims, claimed: _Claims | None) -> tuple[Column, Column]:
-    """Return for each piece when the producer left the number of the node, and the lag in values at its end.
-
-    If the producer has not shown this number before, the piece counts from its own start, or that of the pieces that
-    are adjacent to it.
-    """
-    if not len(pieces):
-        return np.zeros(0), np.zeros(0, np.int64)
-    joined = np.concatenate([[True], pieces[1:, 0] != pieces[:-1, 1]])
-    begin = np.maximum.accumulate(np.where(joined, pieces[:, 0], -np.inf))
-    values = np.concatenate([[0], np.cumsum(produced.number >= 0)])
-    now = np.searchsorted(produced.time, pieces[:, 1], "left")
-    if claimed is None:
-        return begin, values[now]
-    held = claimed.number[claimed.at(pieces[:, 0])]
-    order = np.lexsort((produced.time, produced.number))
-    span = max(float(produced.time[-1]), float(pieces[-1, 1])) + 1
-    keys = (produced.number[order] + 3) * span + produced.time[order]
-    place = np.searchsorted(keys, (held + 3) * span + pieces[:, 0], "right") - 1
-    same = order[np.maximum(place, 0)]
-    known = (place >= 0) & (produced.number[same] == held) & (same + 1 < produced.time.size)
-    left = np.where(known, produced.time[np.minimum(same + 1, produced.time.size - 1)], begin)
-    return left, np.where(known, values[now] - values[np.minimum(same + 1, len(values) - 1)], 1)
 
 
 def _differ(held: Column, produced: Column) -> Column:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import BasicTickFormatter
 
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
 
 from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time
@@ -124,7 +124,7 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
     caption = (
         "One row for each variable and node. As the producer: the node sends its last sequence number. On its way: the "
         "producer has a newer one, for a short time. Stale (red and hatched): the producer left the node's number more "
-        "than 2 s, and 10 beacons of the node, before. Blank: it sends no record about the variable. Each interval is "
+        "than 3 s, and 10 beacons, before. Blank: it sends no record about the variable. Each interval is "
         f"{seconds_text(float(edges[1]))} long."
     )
     names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.stale else ''}" for pair in rows]
@@ -156,7 +156,7 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
     _boxes(chart, "way", waits, np.array(waiting), legend="a newer one is on its way", row=names, **shown)
     tips = {"it holds": np.array(held), "producer": np.array(produced), "longest lag": np.array(behind)}
     _boxes(chart, "fail", late, np.ones(len(late)), legend="stale", hatch="/", row=names, **tips)
-    places = [(pair.differs[-1][1], row) for row, pair in enumerate(rows) if pair.differs_at_end]
+    places = [(pair.stale[-1][1], row) for row, pair in enumerate(rows) if pair.stale_at_end]
     if places:
         ends = np.array(places)
         chart.marks_at("x", "fail", ends[:, 0], ends[:, 1], size=10)

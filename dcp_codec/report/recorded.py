@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+from dcp_spec.constants import ICType
 from dcp_spec.profile.definition import SafetyField
 
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
 from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
 from dcp_codec.common.printable import plain
@@ -27,10 +28,20 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Maximum number of rows of one recording: about four for each beacon, with some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records that show which version of a variable a node holds; see dcp_codec.analysis.ledger.
-HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
+#: Tables of records that show which version of a variable a node holds, with the type of their records; see
+#: dcp_codec.analysis.ledger.
+HOLDING = {
+    "creates": ICType.CREATE_VARIABLES,
+    "updates": ICType.UPDATES,
+    "summaries": ICType.SUMMARIES,
+    "deletes": ICType.DELETE_VARIABLES,
+    "req_updates": ICType.REQUEST_VARUPDATES,
+    "req_creates": ICType.REQUEST_VARCREATES,
+}
 #: States that records without sequence number stand for.
 _INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}
+#: Columns with the place of a record in its frame.
+_PLACE = ("payload", "container", "record")
 _SECOND = 1_000_000_000
 #: Maximum length of a description in characters.
 _DESCRIPTION = 120
@@ -114,7 +125,8 @@ _KEPT: dict[str, dict[str, Any]] = {
     "srp": {"time": np.int64, "node": np.int32, "x": np.float64, "y": np.float64, "z": np.float64},
     "values": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
     | {"creation": np.int64, "size": np.int64, "number": np.float64},
-    "held": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64},
+    "held": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
+    | {"kind": np.int8, "creation": np.int64, "producer": np.int32},
     "errors": {"frame": np.int64, "time": np.int64, "node": np.int32, "reason": np.int32},
 }
 
@@ -216,34 +228,43 @@ class _Gatherer:
             self._variable(each).value = rows["value"][row].as_py() or b""
 
     def _held(self, tables: dict[str, pa.RecordBatch]) -> None:
-        """Append the held numbers of nodes: each change, and one row per second, so that silence can be detected."""
+        """Append the held numbers of nodes: the first and the last record of each state, and one record per second.
+
+        The latter show the silence of a node.
+        """
         if not tables:
             return
-        numbers = []
+        columns: dict[str, list[Column]] = {name: [] for name in (*_PLACE, *_KEPT["held"])}
         for name, rows in tables.items():
+            many = rows.num_rows
+            for each in (*_PLACE, "frame", "time"):
+                columns[each].append(_integers(rows[each]))
+            columns["variable"].append(_integers(rows["varId"]))
+            columns["node"].append(self.nodes.numbers(rows["sender"]))
+            columns["kind"].append(np.full(many, HOLDING[name], np.int8))
+            columns["creation"].append(_creation_times(rows))
+            creates = name == "creates"
+            columns["producer"].append(self.nodes.numbers(rows["prodId"]) if creates else np.full(many, -1, np.int32))
             if name in _INSTEAD:
-                numbers.append(np.full(rows.num_rows, _INSTEAD[name], np.int64))
+                columns["seqno"].append(np.full(many, _INSTEAD[name], np.int64))
             else:
                 self.number_modulus = 1 << rows.schema.field("seqno").type.bit_width
-                numbers.append(_integers(rows["seqno"]).astype(np.int64))
-        number = np.concatenate(numbers)
-        frame, time, variable = (
-            np.concatenate([_integers(rows[name]) for rows in tables.values()]) for name in ("frame", "time", "varId")
-        )
-        node = np.concatenate([self.nodes.numbers(rows["sender"]) for rows in tables.values()])
-        order = np.lexsort((frame, node, variable))
-        frame, time, node, variable, number = (each[order] for each in (frame, time, node, variable, number))
-        kept = np.ones(order.size, bool)
-        for each in (node, variable, number, time // _SECOND):
-            each = each.astype(np.int64)
-            kept[1:] &= each[1:] == each[:-1]
-        kept = ~kept
-        kept[0] = True
-        # Also keep the last row before a silence, and that of the batch.
-        ends = (np.diff(variable) != 0) | (np.diff(node) != 0) | (np.diff(time) > _SECOND)
-        kept |= np.append(ends, True)
-        rows = {"frame": frame, "time": time, "node": node, "variable": variable, "seqno": number}
-        self._keep("held", **{name: column[kept] for name, column in rows.items()})
+                columns["seqno"].append(_integers(rows["seqno"]).astype(np.int64))
+        joined = {name: np.concatenate(pieces) for name, pieces in columns.items()}
+        order = np.lexsort([joined[name] for name in (*_PLACE[::-1], "frame", "node", "variable")])
+        found = {name: column[order] for name, column in joined.items()}
+        changes = np.ones(order.size + 1, bool)
+        changes[1:-1] = False
+        for name in ("node", "variable", "seqno"):
+            changes[1:-1] |= found[name][1:] != found[name][:-1]
+        seconds = found["time"] // _SECOND
+        # A create may begin another state with the same number.
+        changes[:-1] |= found["producer"] >= 0
+        # Also keep the last record before a silence.
+        silence = np.append(np.diff(found["time"]) > _SECOND, True)
+        kept = changes[:-1] | changes[1:] | silence
+        kept[1:] |= seconds[1:] != seconds[:-1]
+        self._keep("held", **{name: found[name][kept] for name in _KEPT["held"]})
 
     def _creations(self, rows: pa.RecordBatch) -> None:
         producers = self.nodes.numbers(rows["prodId"])

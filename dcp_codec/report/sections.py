@@ -69,48 +69,50 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
         section.words.append(f"The {plots.ROWS} rows that differ longest are drawn; {hidden:,} more are not.")
     if found.left_out:
         section.words.append(f"{found.left_out:,} more pairs of a node and a variable were not compared.")
-    if found.divergences:
-        section.tables.append(_never_arrived(context, found.divergences))
-        if len(found.divergences) > 2 * _LISTED:
-            section.words.append(f"The list has {2 * _LISTED} of {len(found.divergences):,} differences, the longest.")
-    else:
-        section.words.append("Every value of a producer, or a newer one, reached every node within a short time.")
+    if found.stale:
+        section.tables.append(_stale_states(context, found.stale))
+        if len(found.stale) > 2 * _LISTED:
+            section.words.append(f"The list has {2 * _LISTED} of {len(found.stale):,} stale values, the longest.")
     section.tables += _never_sent(context, found)
     if found.without_producer:
         listed = ", ".join(map(str, found.without_producer[:12]))
-        section.words.append(f"Not compared, because no producer was received: variable {listed}.")
+        section.words.append(f"Not compared, because not one producer is known: variable {listed}.")
     return section
 
 
 def _stale_values(context: PlotContext, found: holding.Holding) -> list[str]:
-    """Describe the stale values of nodes, and those at the end."""
+    """Describe the stale values of nodes, those at the end, and variables without a record."""
     behind = [pair for pair in found.pairs if pair.stale]
-    stale = [pair for pair in behind if pair.differs_at_end]
-    if not behind:
-        return ["No node had a stale value; at the end every node holds the last number of the producer."]
+    stale = [pair for pair in behind if pair.stale_at_end]
     words = []
+    if not behind:
+        words.append("No node had a stale value: no number was kept for more than 3 s after the producer had left it.")
     if stale:
         about = sorted({pair.variable for pair in stale})
         listed = ", ".join(map(str, about[:8])) + (" ..." if len(about) > 8 else "")
         words.append(
             f"≠ At the end {len({pair.node for pair in stale})} of {len({pair.node for pair in found.pairs})} nodes "
-            f"do not hold the producer's number of {len(about)} of {len({pair.variable for pair in found.pairs})} "
-            f"variables ({listed})."
+            f"have stale values of {len(about)} of {len({pair.variable for pair in found.pairs})} variables ({listed})."
         )
-    worst = max(behind, key=lambda pair: (pair.age, pair.numbers))
-    by = f", up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
-    nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
-    words.append(
-        f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: {context.name(worst.node)} "
-        f"with variable {worst.variable}, {seconds_text(worst.age)}{by}."
-        f"{'' if stale else ' At the end none is, or the variable is deleted.'}"
-    )
+    if behind:
+        worst = max(behind, key=lambda pair: (pair.age, pair.numbers))
+        by = f", {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
+        nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
+        words.append(
+            f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: "
+            f"{context.name(worst.node)} with variable {worst.variable}, {seconds_text(worst.age)}{by}."
+            f"{'' if stale else ' At the end no node has one.'}"
+        )
+    absent = [f"{pair.variable} at {context.name(pair.node)}" for pair in found.pairs if pair.absent]
+    if absent:
+        more = f" and {len(absent) - 8} more" if len(absent) > 8 else ""
+        words.append(f"No record about a variable that its producer has: {', '.join(absent[:8])}{more}.")
     return words
 
 
 def _at_the_end(context: PlotContext, found: holding.Holding) -> Table:
     pairs = {(pair.variable, pair.node): pair for pair in found.pairs}
-    shown = list(dict.fromkeys(pair.variable for pair in sorted(found.pairs, key=lambda each: not each.differs_at_end)))
+    shown = list(dict.fromkeys(pair.variable for pair in sorted(found.pairs, key=lambda each: not each.stale_at_end)))
     rows = []
     for variable in sorted(shown[:DRAWN]):
         first = next(pair for pair in found.pairs if pair.variable == variable)
@@ -120,33 +122,30 @@ def _at_the_end(context: PlotContext, found: holding.Holding) -> Table:
             if pair is None:
                 row.append(_number("producer" if node == first.producer else "-"))
             else:
-                bad = pair.differs_at_end
+                bad = pair.stale_at_end
                 row.append(Cell(f"{'≠ ' if bad else ''}{number_text(pair.held)}", number=True, bad=bad))
         rows.append(row)
     heads = ["variable", "producer", "its number", *(context.name(node) for node in context.nodes)]
-    caption = "The last sequence number of each variable that each node sent. ≠ in red: it differs from the producer's."
+    caption = "The last sequence number of each variable that each node sent. ≠ in red: it is stale."
     return table(caption, heads, rows, matrix=True)
 
 
-def _never_arrived(context: PlotContext, found: Sequence[holding.Divergence]) -> Table:
+def _stale_states(context: PlotContext, found: Sequence[holding.Stale]) -> Table:
     rows = [
         [
             Cell(f"{each.variable}"),
             Cell(context.name(each.node), mono=True),
-            _number(f"{each.start:.3f}"),
-            Cell("never" if each.to_the_end else f"after {seconds_text(each.age)}", bad=each.to_the_end),
             _number(number_text(each.held)),
+            _number(f"{each.start:.3f}"),
+            Cell("to the end" if each.to_the_end else f"for {seconds_text(each.age)}", bad=each.to_the_end),
             _number(number_text(each.produced)),
             _number(f"{each.missed:,}"),
             command(context.recorded, each.frame, each.variable),
         ]
         for each in found[: 2 * _LISTED]
     ]
-    caption = (
-        "Values that never arrived, or arrived late. The command shows the frame in which the producer sent the first "
-        "of them."
-    )
-    heads = ["variable", "node", "since (s)", "arrived", "it holds", "the producer", "values missed", "command"]
+    caption = "Stale values. The command shows the frame in which the producer left the node's number."
+    heads = ["variable", "node", "it keeps", "since (s)", "how long", "the producer", "lag in values", "command"]
     return table(caption, heads, rows)
 
 

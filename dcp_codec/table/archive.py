@@ -22,6 +22,7 @@ from dcp_codec.codec import get_codec
 from dcp_codec.common.atomic_write import rename_durably, sync_tree
 from dcp_codec.common.workers import WorkerLostError, completed
 
+from .holdings import HOLDINGS
 from .job import Advance, Job, Outcome, TableError, run
 from .kernel.jit import COMPILING, LOG, announce
 from .kernel.shape import ERRORS, Shape
@@ -103,10 +104,12 @@ def _check(order: Order) -> None:
     if order.single and (order.tables is None or len(order.tables) != 1):
         raise TableError(f"{order.out}: a file holds one table: name it with --tables, or give a folder")
     if order.profile != "auto" and order.tables is not None:
-        known = {table.name for table in Shape(get_codec(order.profile).beacon_plan).tables} | {ERRORS}
+        known = {table.name for table in Shape(get_codec(order.profile).beacon_plan).tables} | {ERRORS, HOLDINGS}
         for name in order.tables:
             if name not in known:
                 raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
+    if order.tables is not None and HOLDINGS in order.tables and "-" in order.recordings:
+        raise TableError(f"standard input cannot be read twice, as the table {HOLDINGS} needs: name a file")
     if order.form == "duckdb":
         # Report a missing package before decoding anything.
         import_module("duckdb")

@@ -17,6 +17,7 @@ from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
 
 from .decoding import ColumnDecoder, worth_compiling
+from .holdings import HOLDINGS, read_holdings
 from .input.sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
@@ -100,6 +101,8 @@ def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
             decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
             _write(job, recording, decoder, outcome, advance)
             outcome.problems += [problem.message for problem in recording.problems]
+        if job.tables is not None and HOLDINGS in job.tables:
+            _write_holdings(job, codec, link, outcome)
         if outcome.other == outcome.frames:
             outcome.link = link
             outcome.others = {} if job.path == "-" else others(job.path, link)
@@ -137,6 +140,18 @@ def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outc
             position = block.position
         for writer in writers.values():
             writer.flush()
+
+
+def _write_holdings(job: Job, codec: Codec, link: Link, outcome: Outcome) -> None:
+    """Read the recording again, and write the states of its ledger."""
+    rows = read_holdings(job.path, codec, link)
+    schema = rows.schema if job.file is None else file_schema(rows.schema)
+    path = _path(job, HOLDINGS)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = open_writer(job.form, path, schema)
+    writer.write(rows if job.file is None else with_file(rows, schema, job.file))
+    writer.close()
+    outcome.files[HOLDINGS], outcome.rows[HOLDINGS] = str(path), rows.num_rows
 
 
 def _path(job: Job, table: str) -> Path:

@@ -23,7 +23,19 @@ from dcp_codec.capture import Frame, create_capture
 from dcp_codec.capture.mcap import raw_frame as rawframe
 from dcp_codec.export.example import example_beacon
 from dcp_codec.foxglove.channels import MAX_POSE_TOPICS, DecodedChannels, capture_metadata, pose_topic
-from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarSumm
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VarDelete,
+    VarReqCreate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
 
 from ..parts import every
 
@@ -299,13 +311,44 @@ def test_readable_parts_of_a_malformed_frame_have_messages():
     assert decoded(codec, b"")["/dcp/bp"][0]["payloads"] == []
 
 
+def test_holdings_of_nodes():
+    codec = get_codec("dcp-2.0")
+    one, two = b"\x02\0\0\0\0\1", b"\x02\0\0\0\0\2"
+    create = VarCreate(VarSpec(7, one, 1, b"x", 5, 0), VarUpdate(7, 0, b"v"))
+    sent = [
+        (one, create), (two, VarSumm(7, 0)), (one, VarUpdate(7, 1, b"v")), (two, VarSumm(7, 0)), (one, VarSumm(7, 1)),
+        (one, VarUpdate(7, 2, b"v")), (two, VarUpdate(7, 1, b"v")), (one, VarDelete(7)), (two, VarReqCreate(8)),
+    ]  # fmt: skip
+    numbers = codec.profile.vardis.container_types.by_name()
+    source, found = DecodedChannels(codec), []
+    for number, (node, record) in enumerate(sent, 1):
+        container = Container(numbers[record.IC_TYPE.label], (record,))
+        frame = ETHERNET + codec.encode(Beacon(BPHeader(node, number, 0), (Payload(2, (container,)),)))
+        for message in source.messages(Frame(number, TIME_NS + number, frame, len(frame))):
+            if message.topic == "/dcp/holdings":
+                found.append(json.loads(message.data))
+    rows = [
+        (each["frame"], each["sender"][-1], each["varId"], each["state"], each.get("seqno"), each.get("lag"))
+        for each in found
+    ]
+    assert rows == [
+        (1, "1", 7, "held", 0, 0),
+        (2, "2", 7, "held", 0, 0),
+        (3, "1", 7, "held", 1, 0),
+        (6, "1", 7, "held", 2, 0),
+        (7, "2", 7, "held", 1, 1),
+        (8, "1", 7, "deleted", None, None),
+        (9, "2", 8, "unknown", None, None),
+    ]
+
+
 def test_a_bad_state_report_has_no_message_and_hides_nothing():
     codec = get_codec("dcp-1.2")
     vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
     blocks = (Payload(1, bytes(range(0x20, 0x48))), Payload(2, vardis))
     octets = codec.encode_envelope(Beacon(BPHeader(b"\x02\0\0\0\0\1", 4), blocks))
     found = decoded(codec, octets)
-    assert set(found) == {"/dcp/bp", "/dcp/vardis", "/dcp/errors"}
+    assert set(found) == {"/dcp/bp", "/dcp/vardis", "/dcp/holdings", "/dcp/errors"}
     assert found["/dcp/vardis"][0]["records"] == [{"varId": 7, "seqno": 3}]
     # Nothing that the bad report says breaks a rule of its own.
     (error,) = found["/dcp/errors"]

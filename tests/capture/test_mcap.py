@@ -22,6 +22,7 @@ from dcp_codec.capture import (
     extract_attachment,
     open_capture,
 )
+from dcp_codec.capture.mcap.index import Place, read_index
 
 FRAMES = [Frame(n, 1_700_000_000_000_000_000 + n, n.to_bytes(2, "big") * 50, 100 + n, n % 3) for n in range(1, 4001)]
 MAGIC = b"\x89MCAP0\r\n"
@@ -507,13 +508,55 @@ def test_no_single_inverted_bit_costs_more_than_a_part_of_a_chunk(tmp_path, atta
         assert len(frames) == len(sent) or problems, place
 
 
+class CountedPlace(Place):
+    """A place in the index that counts how often it is compared."""
+
+    looked_up = 0
+
+    @property
+    def offset(self):
+        CountedPlace.looked_up += 1
+        return self[0]
+
+
+def test_a_record_costs_a_binary_search_in_the_index(tmp_path, monkeypatch):
+    monkeypatch.setattr("dcp_codec.capture.mcap.writer.CHUNK_LENGTH", 1)
+    path, many = tmp_path / "long.mcap", 1000
+    path.write_bytes(written(FRAMES[:many]))
+    index = read_index(path)
+    assert len(index.chunks) == many
+    counted = index._replace(chunks=tuple(CountedPlace(*each) for each in index.chunks))
+    monkeypatch.setattr("dcp_codec.capture.mcap.reader.read_index", lambda _: counted)
+    monkeypatch.setattr(CountedPlace, "looked_up", 0)
+    with open_capture(path) as reader:
+        assert plain(reader) == plain(FRAMES[:many])
+    # Each chunk has an index of its messages after it.
+    assert 2 * many <= CountedPlace.looked_up <= 2 * many * 20
+
+
 def test_a_chunk_of_unknown_compression_is_skipped():
     octets = written()
-    frames, reader = read(octets.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0rar!", 1))
+    packed = octets.index(b"\x04\0\0\0zstd") + 8 + 8
+    frames, reader = read(octets[:packed] + b"Rar!" + octets[packed + 4 :])
     assert 0 < len(frames) < len(FRAMES)
     (problem,) = reader.problems
     assert problem.reason == "bad-compression"
+    frames, reader = read(octets.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0rar!", 1))
+    assert len(frames) == len(FRAMES)
+    (problem,) = reader.problems
     assert "'rar!', which is not known" in problem.message
+    assert "read all the same" in problem.message
+
+
+@pytest.mark.parametrize(("compression", "length"), [("zstd", 44), ("lz4", 43), ("none", 49)])
+def test_an_inverted_bit_in_the_head_of_a_chunk_costs_no_frame(compression, length):
+    octets = written(FRAMES[:20], compression=compression)
+    head = next(offset for opcode, offset, _ in records(octets) if opcode == 0x06) + 9
+    for place in range(head, head + length):
+        for bit in (0, 3, 7):
+            data = bytearray(octets)
+            data[place] ^= 1 << bit
+            assert plain(read(bytes(data))[0]) == plain(FRAMES[:20]), (place - head, bit)
 
 
 def test_a_chunk_that_cannot_be_decompressed_is_skipped():

@@ -57,6 +57,20 @@ def test_stats_json(run, capture):
     assert data["last_sent_value"] == {"7": {"seqno": 3, "value": "41424344"}}
 
 
+def test_stats_of_variables_come_from_the_ledger(run):
+    path = Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap"
+    result = run("stats", "-f", "json", path)
+    variables = json.loads(result.out)["variables"]
+    assert variables["12"] == {
+        "producer": "02:00:00:00:00:01", "nodes": 3, "current": 3, "stale": 0, "longest_lag_s": 0.0,
+    }  # fmt: skip
+    # Two nodes do not follow the deletion of variable 11.
+    assert (variables["11"]["nodes"], variables["11"]["current"], variables["11"]["stale"]) == (3, 1, 2)
+    assert variables["11"]["longest_lag_s"] > 6
+    row = next(line for line in run("stats", path).out.splitlines() if line.startswith("11 "))
+    assert row.split()[:7] == ["11", "1", "1", "of", "3", "2", f"{variables['11']['longest_lag_s']:.1f}"]
+
+
 def test_stats_count_loss_restart_and_duplicates(run, tmp_path, codec):
     seqnos = [10, 11, 14, 14, 15, 0, 1]
     frames = [ETHERNET + codec.encode(beacon(seqno)) for seqno in seqnos]

@@ -21,7 +21,8 @@ from dcp_codec import (
     VarUpdate,
     get_codec,
 )  # fmt: skip
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import OtherTraffic, locate
 
@@ -77,7 +78,7 @@ def test_repeated_records_extend_a_state():
     assert (second.number, second.creation, second.frame, second.carried) == (1, (ONE, 5), 3, [])
     # Another creation with the same number is another state.
     assert len(ledger.feed(4, 40, ONE, saying(created(1, time=6)))) == 1
-    assert [each.frame for each in ledger.entries(7, ONE)] == [1, 3, 4]
+    assert [each.frame for each in ledger.entries(7)] == [1, 3, 4]
 
 
 def test_a_summary_after_a_request_for_a_held_variable_begins_a_state():
@@ -127,6 +128,77 @@ def test_a_long_ledger_becomes_coarser_and_ends_the_same():
         assert one is not None
         assert other is not None
         assert (one.number, one.frame, one.until) == (other.number, other.frame, other.until)
+
+
+SECOND = 1_000_000_000
+
+
+def followed(numbers: int, stuck: int, room: int = 60_000, width: int = 256) -> Ledger:
+    """Node 1 produces a value each second. Node 2 follows after 0.2 s, but keeps value ``stuck`` to the end."""
+    ledger = Ledger(entries=room)
+    frame = 0
+    for number in range(numbers):
+        for node, after in ((ONE, 0.0), (TWO, 0.2), (ONE, 0.5), (TWO, 0.7)):
+            frame += 1
+            holds = number if node == ONE else min(number, stuck)
+            record = VarSumm(7, holds % width) if number else created(0)
+            ledger.feed(frame, round((number + after) * SECOND), node, saying(record))
+    return ledger
+
+
+def test_a_short_lag_is_not_stale():
+    ledger = followed(20, 20)
+    assert ledger.stale() == []
+    assert {each.age for each in ledger.entries() if each.node == TWO} == {0}
+
+
+@pytest.mark.parametrize("room", [60_000, 64])
+def test_a_stale_state_is_found_in_a_recording_of_any_length(room):
+    (stale,) = followed(3000, 2000, room, width=1 << 16).stale()
+    assert (stale.node, stale.number, stale.time) == (TWO, 2000, round(2000.2 * SECOND))
+    assert stale.left is not None
+    assert stale.newest is not None
+    assert (stale.left.number, stale.left.time) == (2001, 2001 * SECOND)
+    assert (stale.newest.number, stale.missed, stale.deleted) == (2999, 999, False)
+    assert stale.age == round((2999.7 - 2001) * SECOND)
+
+
+def test_a_state_is_stale_after_three_seconds_and_ten_beacons():
+    ledger = followed(8, 3)
+    assert [each.age for each in ledger.stale()] == [round(3.7 * SECOND)]
+    assert [each.age for each in ledger.stale(0.37 * SECOND)] == [round(3.7 * SECOND)]
+    assert ledger.stale(0.38 * SECOND) == []
+
+
+def test_a_deletion_that_is_not_followed_is_stale():
+    ledger = Ledger()
+    ledger.feed(1, 0, ONE, saying(created(0)))
+    ledger.feed(2, 1, TWO, saying(VarSumm(7, 0)))
+    ledger.feed(3, SECOND, ONE, saying(VarDelete(7)))
+    ledger.feed(4, 5 * SECOND, TWO, saying(VarSumm(7, 0)))
+    (stale,) = ledger.stale()
+    assert (stale.deleted, stale.missed, stale.age) == (True, 0, 4 * SECOND)
+    # It ends when the node deletes the variable.
+    ledger.feed(5, 6 * SECOND, TWO, saying(VarDelete(7)))
+    ledger.feed(6, 9 * SECOND, TWO, saying(VarSumm(8, 0)))
+    assert [each.age for each in ledger.stale()] == [4 * SECOND]
+
+
+def test_a_variable_of_several_producers_has_no_stale_state():
+    ledger = followed(20, 5)
+    assert ledger.stale()
+    ledger.feed(100, 30 * SECOND, TWO, saying(created(0, node=TWO)))
+    assert ledger.stale() == []
+
+
+def test_a_producer_that_becomes_known_late():
+    ledger = Ledger()
+    for number in range(10):
+        ledger.feed(2 * number, number * SECOND, ONE, saying(VarSumm(7, number)))
+        ledger.feed(2 * number + 1, number * SECOND + 1, TWO, saying(VarSumm(7, 3 if 3 <= number < 9 else number)))
+    assert ledger.stale() == []
+    ledger.feed(30, 10 * SECOND, ONE, saying(created(9)))
+    assert [(each.number, each.missed, each.age) for each in ledger.stale()] == [(3, 5, 4 * SECOND + 1)]
 
 
 def test_a_recording_ends_with_the_state_of_its_last_summaries():

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from dcp_codec import get_codec
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.report import analysis
 from dcp_codec.report.chapter import chapter
-from dcp_codec.report.holding import Divergence, Holding, Pair, holding, shares
+from dcp_codec.report.holding import Holding, Pair, Stale, holding, shares
 from dcp_codec.report.recorded import Recorded, gather
 
 from .flights import CAPTURES, Sent, ask, create, delete, gathered, name, record, report, summary, update
@@ -48,12 +49,12 @@ def recreated(tmp_path) -> tuple[Recorded, Holding]:
 def test_a_stale_value_after_a_recreation(recreated):
     recorded, found = recreated
     follows, stale = pair(recorded, found, 7, 2), pair(recorded, found, 7, 3)
-    assert not follows.differs_at_end
+    assert not follows.stale_at_end
     assert follows.differs == [pytest.approx((10.0, 10.202), abs=1e-6)]
-    assert stale.differs_at_end
+    assert stale.stale_at_end
     assert (stale.held, stale.produced) == (9, 5)
     assert stale.differs == [pytest.approx((10.0, 19.903), abs=1e-6)]
-    (only,) = found.divergences
+    (only,) = found.stale
     assert (only.node, only.held, only.produced, only.missed, only.to_the_end) == (stale.node, 9, 5, 1, True)
     # The frame in which the producer sent it first.
     beacons = recorded.tables["beacons"]
@@ -65,16 +66,14 @@ def test_the_page_begins_with_the_difference(recreated):
     drawn = chapter(recorded)
     first = drawn.sections[0]
     assert first.title == "Values held by each node"
-    assert first.words[0].startswith(
-        "≠ At the end 1 of 2 nodes do not hold the producer's number of 1 of 1 variables (7)"
-    )
+    assert first.words[0].startswith("≠ At the end 1 of 2 nodes have stale values of 1 of 1 variables (7)")
     at_the_end, late = first.tables[:2]
     marked = [cell.text for row in at_the_end.rows for cell in row if cell.bad]
     assert marked == ["≠ 9"]
     (row,) = late.rows
-    assert [cell.text for cell in row][:7] == ["7", "…00:03", "10.000", "never", "9", "5", "1"]
+    assert [cell.text for cell in row][:7] == ["7", "…00:03", "9", "10.000", "to the end", "5", "1"]
     assert row[-1].code
-    assert f"decode --frames {recreated[1].divergences[0].frame} -w 'varId == 7' --profile dcp-2.0" in row[-1].text
+    assert f"decode --frames {recreated[1].stale[0].frame} -w 'varId == 7' --profile dcp-2.0" in row[-1].text
 
 
 def test_the_tooltip_of_a_difference(recreated):
@@ -88,8 +87,8 @@ def test_the_tooltip_of_a_difference(recreated):
     longest = max(range(len(red["left"])), key=lambda row: red["right"][row] - red["left"][row])
     assert (red["row"][longest], red["it holds"][longest], red["producer"][longest]) == ("7 at …00:03 ≠", "9", "5")
     assert red["longest lag"][longest] == "9.9 s, 1 value"
-    # The first two seconds count as being on the way.
-    assert red["left"][longest] == pytest.approx(12_000)
+    # The first three seconds count as being on the way.
+    assert red["left"][longest] == pytest.approx(13_000)
 
 
 def test_a_value_that_arrives_late(tmp_path):
@@ -102,9 +101,10 @@ def test_a_value_that_arrives_late(tmp_path):
         *beats(2, 1, 9.1, 12),
     ]
     _, found = holding_of(tmp_path, sent)
-    (late,) = found.divergences
-    assert (late.held, late.produced, late.missed, late.to_the_end) == (0, 1, 0, False)
-    assert late.end - late.start == pytest.approx(4.0)
+    (late,) = found.stale
+    assert (late.held, late.produced, late.missed, late.to_the_end) == (0, 1, 1, False)
+    # To the last record with the old number.
+    assert late.end - late.start == pytest.approx(3.902)
 
 
 def test_values_that_were_replaced_before_they_could_be_sent(tmp_path):
@@ -112,18 +112,19 @@ def test_values_that_were_replaced_before_they_could_be_sent(tmp_path):
     sent += [(0.1 * n, 1, n, (update(7, n, b"b"),)) for n in range(1, 9)] + [(0.85, 2, 1, (summary(7, 8),))]
     recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
-    assert (one.values, one.sent, one.differs_at_end) == (8, 1, False)
-    assert found.divergences == []
+    assert (one.values, one.sent, one.stale_at_end) == (8, 1, False)
+    assert found.stale == []
 
 
 def test_a_node_that_never_announces_a_variable(tmp_path):
     sent = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 6), *beats(2, 3, 0.1, 6, variable=8)]
     recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
-    assert (one.held, one.known, one.differs_at_end) == (None, [], True)
+    assert (one.held, one.known, one.absent, one.stale_at_end) == (None, [], True, False)
     assert found.without_producer == [8]
-    (only,) = found.divergences
-    assert (only.held, only.produced, only.to_the_end) == (None, 0, True)
+    assert found.stale == []
+    (section, *_) = chapter(recorded).sections
+    assert "No record about a variable that its producer has: 7 at …00:02." in section.words
 
 
 def test_a_deletion_that_is_followed_or_ignored_or_not_announced(tmp_path):
@@ -134,9 +135,9 @@ def test_a_deletion_that_is_followed_or_ignored_or_not_announced(tmp_path):
     recorded, found = holding_of(tmp_path, sent)
     follows, silent, ignores = (pair(recorded, found, 7, node) for node in (2, 3, 4))
     assert follows.held == silent.held == DELETED
-    assert not follows.differs_at_end
-    assert not silent.differs_at_end
-    assert ignores.differs_at_end
+    assert not follows.stale_at_end
+    assert not silent.stale_at_end
+    assert ignores.stale_at_end
     assert (ignores.held, ignores.produced) == (0, DELETED)
 
 
@@ -146,8 +147,8 @@ def test_a_node_that_asks_for_a_deleted_variable_does_not_hold_it(tmp_path):
     sent += [(3.2 + n / 10, 2, 100 + n, (ask(7),)) for n in range(55)]
     recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
-    assert (one.held, one.produced, one.differs_at_end) == (UNKNOWN, DELETED, False)
-    assert found.divergences == []
+    assert (one.held, one.produced, one.stale_at_end) == (UNKNOWN, DELETED, False)
+    assert found.stale == []
 
 
 def test_silence_does_not_count_as_holding(tmp_path):
@@ -157,7 +158,7 @@ def test_silence_does_not_count_as_holding(tmp_path):
     recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
     assert one.known == [pytest.approx((0.102, 15.002), abs=0.2)]
-    assert not one.differs_at_end
+    assert not one.stale_at_end
 
 
 def test_a_node_that_asks_for_a_variable_does_not_hold_it():
@@ -204,7 +205,7 @@ def test_shares():
 def test_unfinished_and_longest_differences_come_first(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), (0.01, 1, 1, (create(8, 1, b"a"),))]
     sent += beats(1, 3, 1, 30) + [(n / 10, 1, 1000 + n, (summary(8, 3 if n < 100 else 4),)) for n in range(10, 300)]
-    sent += beats(2, 2, 1, 20) + beats(2, 3, 20, 30) + [(n / 10, 2, 1000 + n, (summary(8, 3),)) for n in range(10, 300)]
+    sent += beats(2, 0, 1, 20) + beats(2, 3, 20, 30) + [(n / 10, 2, 1000 + n, (summary(8, 3),)) for n in range(10, 300)]
     _, found = holding_of(tmp_path, sent)
-    assert [(each.variable, each.to_the_end) for each in found.divergences] == [(8, True), (7, False)]
-    assert isinstance(found.divergences[0], Divergence)
+    assert [(each.variable, each.to_the_end) for each in found.stale] == [(8, True), (7, False)]
+    assert isinstance(found.stale[0], Stale)

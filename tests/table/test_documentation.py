@@ -14,7 +14,11 @@ import pytest
 from dcp_codec import get_codec
 from dcp_codec.capture import create_capture
 from dcp_codec.cli import main
+from dcp_codec.report.analysis import time_of
+from dcp_codec.report.holding import holding
+from dcp_codec.report.recorded import gather
 from dcp_codec.table import ColumnDecoder
+from dcp_codec.table.holdings import HOLDINGS, HOLDINGS_SCHEMA
 
 pytestmark = pytest.mark.part("tables")
 
@@ -23,16 +27,17 @@ TEXT = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8")
 #: The queries by their headings.
 _QUESTIONS = TEXT[TEXT.index("## Questions to ask") :]
 QUERIES = dict(re.findall(r"### (.*)\n(?:(?!#|```).*\n)*```sql\n((?:.*\n)*?)```", _QUESTIONS))
-LOSS, AGE, DELAY, OVERHEAD = (
+LOSS, AGE, DELAY, STALE, OVERHEAD = (
     "Loss per link over time",
     "Age of information per neighbour pair",
     "Dissemination delay of each variable update, node by node",
+    "Stale values",
     "Overhead per byte",
 )
 
 
 def test_all_queries_are_found():
-    assert set(QUERIES) == {LOSS, AGE, DELAY, OVERHEAD}
+    assert set(QUERIES) == {LOSS, AGE, DELAY, STALE, OVERHEAD}
     assert TEXT.count("```sql") == len(QUERIES)
 
 
@@ -153,13 +158,36 @@ def shown(kind: pa.DataType) -> str:
     return names.get(str(kind), str(kind).replace("fixed_size_binary", "octets"))
 
 
+def test_stale_values(tmp_path, monkeypatch):
+    """The table of holdings has the stale values of the page."""
+    path = ROOT / "captures" / "b_crud.mcap"
+    with pytest.raises(SystemExit) as stop:
+        main(["table", str(path), "--out", str(tmp_path / "tables"), "--tables", "holdings"])
+    assert stop.value.code == 0
+    recorded = gather(str(path), "cpp-2.0", None)
+    stale = holding(recorded, time_of(recorded)).stale
+    assert len(stale) > 4
+    rows = ask(STALE, tmp_path, monkeypatch)
+    assert [row["lag_s"] for row in rows] == pytest.approx(sorted((each.age for each in stale), reverse=True))
+    assert sorted((row["node"], row["varId"], row["seqno"], row["lagValues"]) for row in rows) == sorted(
+        (recorded.nodes[each.node], each.variable, each.held, each.missed) for each in stale
+    )
+
+
+def test_holdings_need_a_file(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["table", "-", "-p", "cpp-2.0", "--out", "nowhere.csv", "--tables", "holdings"])
+    assert stop.value.code == 2
+    assert "standard input cannot be read twice" in capsys.readouterr().err
+
+
 def test_every_column_is_described():
     documented = dict(re.findall(r"^\| `(\w+)` \| ([^|]*) \|", TEXT[: TEXT.index("### beacons")], re.MULTILINE))
-    schemas = ColumnDecoder(get_codec("cpp-2.0"), interpret=True).schemas
+    schemas = ColumnDecoder(get_codec("cpp-2.0"), interpret=True).schemas | {HOLDINGS: HOLDINGS_SCHEMA}
     sections = re.split(r"^### ", TEXT[: TEXT.index("## Questions to ask")], flags=re.MULTILINE)[1:]
     assert [section.split("\n")[0] for section in sections] == [
         "beacons", "payloads", "srp", "containers", "creates", "updates", "deletes", "summaries", "req_updates",
-        "req_creates", "errors",
+        "req_creates", "errors", "holdings",
     ]  # fmt: skip
     for section in sections:
         name = section.split("\n")[0]

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 from dcp_spec.constants import Features, features
 from dcp_spec.profile.definition import Profile
 
+from dcp_codec.analysis.entry import Entry
 from dcp_codec.analysis.ledger import Ledger, News
 from dcp_codec.codec import Codec
 from dcp_codec.views.dissect import Dissection
@@ -137,8 +138,8 @@ class Finding(NamedTuple):
     """One sentence about the effect on the network; empty for the general one of the rule."""
 
 
-Evidence = Seen | Trace | Statement | Instruction | Mark
-"""Types that a finding accepts as evidence: frames, records, and places in frames."""
+Evidence = Seen | Trace | Statement | Instruction | Entry | Mark
+"""Types that a finding accepts as evidence: frames, records, states of the ledger (their first record), and places."""
 
 
 class Context:
@@ -188,6 +189,8 @@ class Context:
         self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
+        if self.ledger.begin is None:
+            self.ledger.begin = seen.time
         if seen.parts:
             sender = self.senders.get(seen.sender)
             if sender is None:
@@ -362,7 +365,7 @@ class Invariant:
             return what
         if isinstance(what, Seen | Trace):
             return Mark(what.number)
-        if isinstance(what, Statement):
+        if isinstance(what, Statement | Entry):
             return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
 

@@ -6,22 +6,16 @@ import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from dcp_codec.analysis.lag import lags
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN
+from dcp_codec.analysis.holdings import Holding, holdings
 from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.results import RunResult
 
-from .base import name
 from .judge import Judge
 
-HOLDINGS = (
-    "node", "varId", "state", "seqno", "producer", "creationTime", "since", "until", "firstFrame", "lastFrame",
-    "values", "firstValueFrame", "requests", "lagValues", "lagSeconds",
-)  # fmt: skip
+HOLDINGS = (*Holding._fields[:-1], "lagSeconds")
 LINKS = ("listener", "speaker", "share", "reactions", "trials", "until", "told")
 EVENTS = ("time", "frame", "rule", "verdict", "observed")
-_STATES = {DELETED: "deleted", UNKNOWN: "unknown"}
 
 
 def write_tables(judge: Judge, run: RunResult, folder: Path) -> None:
@@ -52,17 +46,12 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 def _holdings(judge: Judge) -> Iterable[Sequence[object]]:
     ledger = judge.ledger
-    entries, begin = ledger.entries(), ledger.begin or 0
-    lag_of = {id(each.held): each for each in lags(entries, ledger.producers)}
-    for each in entries:
-        lag, creation = lag_of.get(id(each)), each.creation
-        yield (
-            name(each.node), each.var_id, _STATES.get(each.number, "held"), each.number if each.number >= 0 else "",
-            name(creation[0]) if creation else "", creation[1] if creation and creation[1] is not None else "",
-            f"{(each.time - begin) / 1e9:.6f}", f"{(each.until - begin) / 1e9:.6f}", each.frame, each.last,
-            each.values, each.carried[0][0] if each.carried else "", each.asked,
-            lag.numbers if lag else "", f"{lag.age / 1e9:.6f}" if lag else "",
-        )  # fmt: skip
+    begin = ledger.begin or 0
+    for each in holdings(ledger, judge.codec.profile.types.node_id.representation):
+        row: dict[str, object] = each._asdict()
+        row["since"], row["until"] = (f"{(time - begin) / 1e9:.6f}" for time in (each.since, each.until))
+        row["lag"] = None if each.lag is None else f"{each.lag / 1e9:.6f}"
+        yield ["" if value is None else value for value in row.values()]
 
 
 def _events(run: RunResult) -> Iterable[Sequence[object]]:

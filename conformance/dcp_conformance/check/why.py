@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import msgspec
 
 from dcp_codec.analysis.chain import Hears, ahead, at, came, way
-from dcp_codec.analysis.lag import lags
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Entry
+from dcp_codec.analysis.entry import DELETED, UNKNOWN, Entry
 from dcp_conformance.errors import UsageError
 
 from .base import name
@@ -93,7 +92,6 @@ class _Question:
         if self._node == self._producer:
             text += ", as its producer"
         elif self._own:
-            lag = next((each for each in lags(self._entries, self._judge.ledger.producers) if each.held is held), None)
             newest = next((each for each in reversed(self._own) if each.number >= 0), self._own[-1])
             producer = f"its producer {name(newest.node)}"
             missed = 0
@@ -105,9 +103,11 @@ class _Question:
             elif held is not None and held.number == newest.number:
                 text += f", as {producer} does"
             else:
-                text += f"; {producer} has {newest.number}" + (f", {missed} numbers later" if missed else "")
-            if lag is not None and lag.left.time <= self._time:
-                text += f", and left this state {(self._time - lag.left.time) / 1e9:.1f} s before"
+                text += f"; {producer} has {newest.number}" + (
+                    f", {missed} number{'' if missed == 1 else 's'} later" if missed else ""
+                )
+            if held is not None and held.left is not None and held.left.time <= self._time:
+                text += f", and left this state {(self._time - held.left.time) / 1e9:.1f} s before"
         if held is None:
             return self._step(text, node=self._node)
         return self._step(text, held.time, held.frame, self._node)

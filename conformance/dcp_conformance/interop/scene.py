@@ -8,7 +8,8 @@ from typing import Any, Final
 
 from dcp_spec.constants import features
 
-from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
+from dcp_codec.analysis.entry import DELETED, UNKNOWN
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.errors import DecodeError
 from dcp_codec.impairment import Impairment, Outage
 from dcp_codec.testing.mutation import Mutator

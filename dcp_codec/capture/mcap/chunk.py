@@ -18,6 +18,11 @@ _PIECE = 1024 * 1024
 # Start and end time, unpacked size, checksum of the unpacked records, length of the name of the compression.
 _HEAD = struct.Struct("<QQQII")
 _RECORDS_LENGTH = struct.Struct("<Q")
+#: The first octets of compressed records, which are at most ``_FAR`` octets after the head.
+_MARKS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
+_FAR = 64
+#: Maximum size of the records of a damaged chunk, as a multiple of the compressed size.
+_MOST_RATIO = 64
 
 
 class ChunkError(Exception):
@@ -56,11 +61,11 @@ class Unpacker:
         """Unpack the chunk record of `length` octets whose present part is `content`.
 
         Raises `ChunkError` if a complete one is damaged. For one that is cut off, returns as much as can be unpacked,
-        without a check; so it does if not ``check``.
+        without a check; so it does if not ``check``, and then neither trusts the fields of the head.
         """
         whole = check and len(content) == length
         try:
-            size, crc, compression, start, stop = _head(content, length)
+            size, crc, compression, start, stop = _head(content, length) if check else _damaged_head(content)
         except ChunkError:
             if whole:
                 raise
@@ -114,6 +119,22 @@ class Unpacker:
         except ImportError as error:
             raise ChunkError("bad-compression", f"is packed with {compression}, for which {error}") from error
         raise ChunkError("bad-compression", f"is packed with {compression!r}, which is not known")
+
+
+def _damaged_head(content: bytes) -> tuple[int, int, str, int, int]:
+    """Return the same as `_head` for a damaged chunk: its records begin with the mark of a compression, if it has one.
+
+    Raises `ChunkError` if the chunk is too short.
+    """
+    if len(content) < _HEAD.size:
+        raise ChunkError("bad-record", "is too short for its head")
+    marks = {content.find(mark, _HEAD.size, _HEAD.size + _FAR): name for mark, name in _MARKS.items()}
+    start, compression = max(marks.items())
+    if start < 0:
+        # The name of no compression is empty.
+        start, compression = _HEAD.size + _RECORDS_LENGTH.size, ""
+    # A small chunk must not fill the memory.
+    return min(_MOST_RATIO * len(content) + _PIECE, MAX_CHUNK_LENGTH), 0, compression, start, len(content)
 
 
 def _head(content: bytes, length: int) -> tuple[int, int, str, int, int]:

@@ -8,8 +8,10 @@ records and checks their lengths; the library parses the contents of a record.
 from __future__ import annotations
 
 import struct
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from operator import attrgetter
 from typing import Final, Never, TypeVar
 
 from mcap.data_stream import ReadDataStream
@@ -47,7 +49,7 @@ _FIRST_PRIVATE = 0x80  # opcodes from here on are for private use
 _Record = TypeVar("_Record", Schema, Channel, Metadata)
 
 #: Decoders of raw frames, by the message encoding of their channel.
-_DECODERS: Final = {rawframe.MESSAGE_ENCODING: rawframe.decode, rawjson.MESSAGE_ENCODING: rawjson.decode}
+DECODERS: Final = {rawframe.MESSAGE_ENCODING: rawframe.decode, rawjson.MESSAGE_ENCODING: rawjson.decode}
 
 
 class _End(Exception):  # noqa: N818 - not an error
@@ -87,7 +89,7 @@ class McapReader(CaptureReader):
             topics = ", ".join(sorted(set(self._topics.values()))) or "none"
             raise self._refuse(
                 f"is an MCAP file without raw frames (schema {rawframe.SCHEMA_NAME}, "
-                f"encoding {' or '.join(_DECODERS)}); its topics: {topics}"
+                f"encoding {' or '.join(DECODERS)}); its topics: {topics}"
             )
 
     def _records(self) -> Iterator[Frame]:
@@ -288,12 +290,13 @@ class McapReader(CaptureReader):
         """Return whether the head of a record contradicts the index, so that the next record cannot be found."""
         if self._index is None or not self._index.chunks:
             return False
-        at = {place.offset: place.length for place in self._index.chunks}
-        if offset in at:
-            return opcode != Opcode.CHUNK or length != at[offset] - RECORD_HEAD.size
+        # The chunks are many in a long recording, and so are the records between them.
+        chunks = self._index.chunks
+        place = bisect_left(chunks, offset, key=attrgetter("offset"))
+        if place < len(chunks) and chunks[place].offset == offset:
+            return opcode != Opcode.CHUNK or length != chunks[place].length - RECORD_HEAD.size
         # Some record must begin at the offset of each later chunk.
-        following = min((each for each in at if each > offset), default=None)
-        return following is not None and offset + RECORD_HEAD.size + length > following
+        return place < len(chunks) and offset + RECORD_HEAD.size + length > chunks[place].offset
 
     def _by_index(self, offset: int) -> Iterator[Frame | None]:
         """Read the chunks from `offset` on at their places in the index, and end; nothing without any."""
@@ -320,6 +323,9 @@ class McapReader(CaptureReader):
         while end - position >= head:
             opcode, length = RECORD_HEAD.unpack_from(view, position)
             start = position + head
+            if not whole and opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                # The length may be the damaged field: descriptions tell their own length.
+                length = _own_length(opcode, view[start:], length)
             stop = start + length
             if stop > end:
                 break
@@ -379,7 +385,7 @@ class McapReader(CaptureReader):
             return False
         self._topics[channel.id] = channel.topic
         first = not self._raw
-        decode = _DECODERS.get(channel.message_encoding)
+        decode = DECODERS.get(channel.message_encoding)
         if decode is not None and self._schemas.get(channel.schema_id) == rawframe.SCHEMA_NAME:
             self._raw[channel.id] = decode
         return first and bool(self._raw)
@@ -431,6 +437,16 @@ class McapReader(CaptureReader):
             offset,
             self._number,
         )
+
+
+def _own_length(opcode: int, content: memoryview, length: int) -> int:
+    """Return the length of a schema or channel at the start of ``content``; ``length`` if it cannot be read."""
+    stream = ReadDataStream(BytesIO(content))
+    try:
+        (Schema if opcode == Opcode.SCHEMA else Channel).read(stream)
+    except (McapError, struct.error, ValueError):
+        return length
+    return int(stream.count)
 
 
 def _place(offset: int) -> str:

@@ -213,6 +213,16 @@ def report_numbers_twice(air: Script, wrong: bool) -> Outcome:
     return Outcome(("SRP-TYP-06",), (number - 1, number))
 
 
+@script("CK_SRP_SEQNO", variant="slow")
+def report_numbers_of_slow_beacons(air: Script, wrong: bool) -> Outcome:
+    """A node that restarts between two of its beacons may come to the number of its last report again."""
+    air.say(A, report=air.report(A, seqno=48), seqno=1)
+    air.time += 9 * SECOND
+    number = air.say(A, report=air.report(A, seqno=48), seqno=2 if wrong else 1)
+    air.say(A, report=air.report(A, seqno=98), seqno=3 if wrong else 2)
+    return Outcome(("SRP-TYP-06",), (number - 1, number))
+
+
 @script("CK_SRP_SEQNO", variant="time")
 def report_times(air: Script, wrong: bool) -> Outcome:
     for each in range(12):

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.check import Judge
+from dcp_conformance.check.base import name
 from dcp_conformance.check.tables import write_tables
 from dcp_conformance.check.topology import Topology, from_table, told
 from dcp_conformance.check.why import Answer, why
@@ -16,15 +17,18 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.networks import SECOND, NetworkSituation, record
+from dcp_selftest.recordings.lines import FAULTS, LINKS, NODES, PROFILE, recorded
 
-from dcp_codec.analysis.lag import lags
 from dcp_codec.capture import create_capture
 from dcp_codec.codec import Codec
+from dcp_codec.report.analysis import time_of
 from dcp_codec.report.chapter import chapter
 from dcp_codec.report.findings import read_findings
+from dcp_codec.report.holding import holding
 from dcp_codec.report.recorded import gather
 
-from .lines import FAULTS, LINKS, NODES, PROFILE, recorded
+from ..air import Script
 
 pytestmark = pytest.mark.part("suite")
 
@@ -76,6 +80,18 @@ def test_a_line_without_a_fault_has_no_finding(loss):
         assert failures(judged("", loss, links=links)[1]) == {}
 
 
+@pytest.mark.parametrize("seed", [4, 5, 11])
+def test_no_link_is_inferred_between_nodes_that_are_out_of_reach(seed):
+    """Repetitions, own variables and timeouts look like reactions to records that a node cannot have received."""
+    judge = Judge(Codec(PROFILE), Pics(), recording="line", period_known=False)
+    for frame in record(NetworkSituation(shape="line", busy=2.0, deletes=0.0, seed=seed)):
+        judge.feed(frame)
+    judge.result()
+    heard = {(a, b) for a in range(5) for b in range(5) if a != b and judge.hears(NODES[a], NODES[b])}
+    assert all(abs(a - b) == 1 for a, b in heard), heard
+    assert len(heard) >= 7
+
+
 def test_results_state_where_the_links_come_from():
     _, run = judged("stuck", links=True)
     assert any("links: as told by --hears" in note for note in run.notes)
@@ -87,13 +103,18 @@ def test_results_state_where_the_links_come_from():
 
 
 def test_the_lag_of_a_stuck_node():
-    judge, _ = judged("stuck", links=False)
-    longest = max(lags(judge.ledger.entries(1), judge.ledger.producers), key=lambda each: each.age)
-    assert (longest.held.number, longest.newest.number, longest.numbers) == (20, 50, 30)
-    assert longest.held.node in NODES[2:]
-    assert longest.deleted is not None
+    judge, run = judged("stuck", links=False)
+    longest = max(judge.ledger.stale(), key=lambda each: each.age)
+    # The finding has the time at which the producer left the number.
+    (agrees,) = [case for case in run.cases if case.id == "CK_NET_AGREES"]
+    begin = judge.ledger.begin
+    assert (longest.left.time - begin) / 1e9 in [pytest.approx(check.seconds, abs=1e-5) for check in agrees.checks]
+    assert (longest.var_id, longest.number, longest.newest.number, longest.missed) == (1, 20, 50, 30)
+    assert longest.node in NODES[2:]
+    assert longest.deleted
     healthy, _ = judged(links=False)
-    assert max(each.age for each in lags(healthy.ledger.entries(1), healthy.ledger.producers)) < 1e9
+    assert healthy.ledger.stale() == []
+    assert 0 < max(each.age for each in healthy.ledger.entries(1)) < 1e9
 
 
 def answer(judge: Judge, variable: int, node: int, seconds: float | None) -> Answer:
@@ -116,6 +137,20 @@ def test_why_tells_the_way_of_a_value():
         assert f"after frame {before.frame} of {before.node} (the only frame with it before)" in step.text
         assert frame_of(before.frame, "stuck").hex(":") == before.node
     assert reply.stopped == ()
+
+
+def test_times_begin_with_the_first_frame_also_if_it_has_no_record_of_a_variable():
+    air = Script()
+    air.say(1, report=air.report(1))
+    air.time += 5 * SECOND
+    air.say(1, air.create(7, 1))
+    judge = Judge(air.codec, Pics(), recording="air")
+    for frame in air.frames:
+        judge.feed(frame)
+    run = judge.result()
+    seconds = (air.frames[1].time_ns - air.frames[0].time_ns) / 1e9
+    assert why(judge, 7, "01", None).holds.seconds == pytest.approx(seconds, abs=1e-3)
+    assert run.holdings["begin_ns"] == air.frames[0].time_ns
 
 
 def test_why_tells_where_a_value_stops():
@@ -174,16 +209,19 @@ def test_the_page_of_the_recording_says_the_same(tmp_path):
         judge, run = judged(fault, links=True)
         run = msgspec.structs.replace(run, sut=Sut(link="recording line.pcap"))
         (tmp_path / "results.json").write_bytes(msgspec.json.encode(run))
-        drawn = chapter(gather(str(path), PROFILE, None), 1, read_findings(tmp_path / "results.json"))
+        recorded_ = gather(str(path), PROFILE, None)
+        drawn = chapter(recorded_, 1, read_findings(tmp_path / "results.json"))
         section = next(each for each in drawn.sections if each.id.startswith("findings"))
         shown = [row[1].text for each in section.tables for row in each.rows if row[0].text == "fail"]
         assert shown == [rule for rule, texts in failures(run).items() for _ in texts]
         tiles = {name: text for text, name, _ in drawn.tiles}
         held = next(each for each in drawn.sections if each.id.startswith("holding"))
-        late = [each for each in lags(judge.ledger.entries(), judge.ledger.producers) if each.age > 2e9]
-        assert tiles["were stale"] == (
-            f"≠ {len({(each.held.node, each.held.var_id) for each in late})}" if late else "0"
-        )
+        late = judge.ledger.stale()
+        on_page = holding(recorded_, time_of(recorded_)).stale
+        assert sorted(
+            (recorded_.nodes[each.node], each.variable, each.held, each.missed) for each in on_page
+        ) == sorted((name(each.node), each.var_id, each.number, each.missed) for each in late)
+        assert tiles["were stale"] == (f"≠ {len({(each.node, each.var_id) for each in late})}" if late else "0")
         assert bool(late) == held.words[0].startswith("≠ Nodes with stale values") == bool(shown)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from dcp_spec.constants import ICType
 
 from dcp_conformance.check.statements import Statement
 
@@ -14,6 +16,10 @@ _TIMES = 16
 #: Reactions with the same delay that show when a node composes payloads, if they are ``MOSTLY`` times as many as those
 #: with the other delay.
 DELAYS, MOSTLY = 4, 3
+
+
+NOTHING: Final = Statement(ICType.SUMMARIES, None, 0, 0, b"", 0, -1)
+"""A record that stands for none."""
 
 
 class Kind(Enum):
@@ -53,17 +59,17 @@ class Interval:
 
     begin: int
     """Number of beacons that the node had sent before them."""
-    time: int
+    time: int = 0
     """Time of the first of them, ns of :attr:`Observer.time`."""
-    cause: Statement
+    cause: Statement = NOTHING
     """The first of them."""
-    speakers: int
+    speakers: int = 0
     """Their senders, as a mask of bits."""
-    late_half: bool
+    late_half: bool = True
     """Whether each of them was in the second half of its payload."""
-    length: int
+    length: int = 0
     """Length of the shortest VarDis payload with one of them, in octets."""
-    frames: list[int]
+    frames: list[int] = field(default_factory=list)
     """Numbers of the frames with one of them; negative for a frame with errors, which a node may ignore."""
     cut: bool = False
     """Whether earlier intervals, or frames, were dropped to save memory."""
@@ -117,6 +123,8 @@ class Station:
     """Variable -> the sequence number that it stated last."""
     stated_at: dict[int, int] = field(default_factory=dict)
     """Variable -> value of ``beacons`` when it stated the number last."""
+    sent: dict[tuple[int, ICType], int] = field(default_factory=dict)
+    """Variable and CREATE or UPDATE -> value of ``beacons`` when it sent such a record last."""
     had: dict[int, int] = field(default_factory=dict)
     """Variable that it has deleted -> the latest creation time that it can have known."""
     open: dict[int, Occasions] = field(default_factory=dict)
@@ -162,12 +170,12 @@ class Event(NamedTuple):
 
     whom: int
     """The nodes that must react, as a mask of bits."""
-    kind: Kind
-    var_id: int
-    cause: Statement
-    """The record."""
     speaker: int
     """The bit of its sender."""
+    due: tuple[Kind, int]
+    """The reaction, and the variable."""
+    cause: Statement
+    """The record."""
     late_half: bool
     """Whether the record is in the second half of its payload."""
     length: int
@@ -211,6 +219,8 @@ class Trial(NamedTuple):
     """Of a reaction: the time of the beacon with it, ns of :attr:`Observer.time`."""
     proof: Proof | None = None
     """Of a missing reaction: proof that the node has received the record."""
+    open_cause: bool = False
+    """Whether the node may react without a received record: by a repetition, or by the timeout of the variable."""
 
     @property
     def speakers(self) -> int:
@@ -241,6 +251,10 @@ class Variable:
     """The nodes that hold a newer number than a known producer states, and may therefore be producers themselves."""
     created: int = 0
     """The latest creation time in a create."""
+    repetitions: int = 0
+    """The largest repCnt in a create; 0 if no create was heard."""
+    expires: bool = False
+    """Whether a create has a timeout, so that nodes delete the variable without a delete."""
     born: bool = False
     """Whether the recording shows the first creation by the producer."""
     last_create: int = 0

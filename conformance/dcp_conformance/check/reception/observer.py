@@ -34,6 +34,9 @@ from .unrecorded import Unrecorded
 LATE = 4
 #: Number of beacons in which a reaction may still be caused by a record before the previous beacon.
 _CARRIED = 3
+#: Number of beacons in which a node repeats a record, from one beacon with it to the next; the payload of one between
+#: them may be full.
+_REPEATED = 3
 #: Maximum number of beacons of a speaker that a trial counts: with that many, nearly every link has delivered one.
 _EXPOSED = 8
 #: Maximum number of open occasions for one node, kind and variable.
@@ -64,6 +67,8 @@ _PROVES = frozenset({Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.A
 _PROVABLE = (Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE)
 #: Maximum number of frames of an interval that are kept.
 _FRAMES = 32
+#: Stands for an interval that has not been looked up.
+_OPENING: Final = Interval(-1)
 
 
 class Observer:
@@ -180,6 +185,7 @@ class Observer:
         for var_id in station.had:
             self.variables[var_id].deleted &= ~station.bit
         station.stated_at.clear()
+        station.sent.clear()
         station.had.clear()
 
     def _drop_all(self, station: Station) -> None:
@@ -245,7 +251,7 @@ class Observer:
                 self._states(station, variable, each, opened)
             elif kind is DELETE:
                 if opened:
-                    self._hit(station, variable, each, opened, Kind.TAKE_DELETE)
+                    self._hit(station, variable, each, opened, Kind.TAKE_DELETE, open_cause=variable.expires)
                     station.open.pop(var_id, None)
                 if var_id in station.holds:
                     self._hold(station, variable, None)
@@ -272,7 +278,8 @@ class Observer:
         had = station.holds.get(var_id)
         if opened:
             if had is None:
-                self._hit(station, variable, each, opened, Kind.TAKE_CREATE)
+                if kind is not CREATE or each.record.spec.prod_id != station.node:
+                    self._hit(station, variable, each, opened, Kind.TAKE_CREATE)
                 opened.clear()
                 station.waiting.pop(var_id, None)
             elif number != had:
@@ -280,15 +287,8 @@ class Observer:
                     self._hit(station, variable, each, opened, Kind.TAKE_UPDATE)
                 # An older number belongs to another creation: the open occasions do not apply to it.
                 opened.clear()
-            if not opened:
-                pass
-            elif kind is UPDATE:
-                self._hit(station, variable, each, opened, Kind.ANSWER_UPDATE)
-                self._hit(station, variable, each, opened, Kind.TEACH)
-            elif kind is CREATE:
-                self._hit(station, variable, each, opened, Kind.ANSWER_CREATE)
-                opened.pop(Kind.ANSWER_UPDATE, None)
-                opened.pop(Kind.TEACH, None)
+            if kind is not SUMMARY and opened:
+                self._answers(station, variable, each, opened)
             if not opened:
                 station.open.pop(var_id, None)
         if number != had:
@@ -298,9 +298,24 @@ class Observer:
                 if not any(newer(other, number) for other in holders):
                     variable.introducers |= station.bit
             self._hold(station, variable, number)
+        if kind is not SUMMARY:
+            station.sent[var_id, kind] = station.beacons
         if var_id in station.had:
             del station.had[var_id]
             variable.deleted &= ~station.bit
+
+    def _answers(self, station: Station, variable: Variable, each: Statement, opened: Occasions) -> None:
+        """Process a create or update, with the number that the node had, as an answer.
+
+        A record that the node has sent shortly before may be a repetition, which needs no request.
+        """
+        before = station.sent.get((variable.var_id, each.kind), -_REPEATED)
+        repeats = variable.repetitions != 1 and station.beacons - before < _REPEATED
+        for kind in (Kind.ANSWER_UPDATE, Kind.TEACH) if each.kind is UPDATE else (Kind.ANSWER_CREATE,):
+            self._hit(station, variable, each, opened, kind, open_cause=repeats)
+        if each.kind is CREATE:
+            opened.pop(Kind.ANSWER_UPDATE, None)
+            opened.pop(Kind.TEACH, None)
 
     def _created(self, station: Station, variable: Variable, each: Statement) -> None:
         """Update the attributes of a variable, and the limits of the sender, from a create."""
@@ -317,14 +332,28 @@ class Observer:
             variable.producers.add(spec.prod_id)
             if (producer := self.stations.get(spec.prod_id)) is not None:
                 variable.produced |= producer.bit
+        variable.expires = variable.expires or bool(spec.timeout)
+        variable.repetitions = max(variable.repetitions, spec.rep_cnt)
         variable.created = max(variable.created, spec.creation_time or 0)
         variable.create, variable.value = self._sizes.of(CREATE, each.record), len(upd.value)
         station.repetitions = max(station.repetitions, spec.rep_cnt)
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
 
-    def _hit(self, station: Station, variable: Variable, reaction: Statement, opened: Occasions, kind: Kind) -> None:
-        """Close the occasions for one kind of reaction with success, and report the trial."""
+    def _hit(
+        self,
+        station: Station,
+        variable: Variable,
+        reaction: Statement,
+        opened: Occasions,
+        kind: Kind,
+        *,
+        open_cause: bool = False,
+    ) -> None:
+        """Close the occasions for one kind of reaction with success, and report the trial.
+
+        ``open_cause``: the node may have done the same without hearing a record.
+        """
         intervals = opened.pop(kind, None)
         if not intervals:
             return
@@ -358,7 +387,7 @@ class Observer:
         self._outcome(
             Trial(
                 last.time, station, kind, var_id, speakers, True, last.cause, late_half, length, once,
-                delay, at_once, ahead, since, self.time,
+                delay, at_once, ahead, since, self.time, open_cause=open_cause,
             )
         )  # fmt: skip
 
@@ -442,7 +471,7 @@ class Observer:
             self._outcome(
                 Trial(
                     each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length,
-                    proof=proof,
+                    proof=proof, open_cause=kind is Kind.TAKE_DELETE and self.variables[var_id].expires,
                 )
             )  # fmt: skip
         if not intervals:
@@ -485,7 +514,7 @@ class Observer:
                     late_half = 2 * begins[place][index] >= total
                     frame = seen.number if seen.sound else -seen.number
                     self._log.append(
-                        Event(whom, due, var_id, statement, speaker.bit, late_half, total, self.time, frame)
+                        Event(whom, speaker.bit, (due, var_id), statement, late_half, total, self.time, frame)
                     )
         if len(self._log) > _EVENTS:
             for station in self.stations.values():
@@ -495,33 +524,22 @@ class Observer:
 
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
-        log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
-        statement, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
-        waiting = station.waiting
-        hears = station.hears
-        for _, kind, var_id, cause, speaker, late_half, length, time, frame in [
-            event for event in log[station.cursor - self._dropped :] if event[0] & bit and event[4] & hears
-        ]:
-            opened = opened_of.get(var_id)
-            if opened is None and len(opened_of) >= MOST_OPEN:
+        log, bit, hears = self._log, station.bit, station.hears
+        intervals: dict[tuple[Kind, int], Interval | None] = {}
+        """Kind and variable -> the interval since the node's last beacon; None if the events do not count."""
+        for event in log[station.cursor - self._dropped :]:
+            if not (event[0] & bit and event[1] & hears):
                 continue
-            if kind in _ABSENT:
-                waiting[var_id] = None
-            elif statement[var_id] < oldest:
-                # The node's last statement of the number is too old, or beacons of it are missing since then.
-                continue
-            if opened is None:
-                opened = opened_of[var_id] = {}
-            intervals = opened.get(kind)
-            if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, [frame])]
-                continue
-            last = intervals[-1]
-            if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, [frame]))
-                if len(intervals) > _OPEN:
-                    intervals.pop(0)
-                    intervals[0].cut = True
+            _, speaker, key, cause, late_half, length, time, frame = event
+            last = intervals.get(key, _OPENING)
+            if last is _OPENING:
+                last = intervals[key] = self._open(station, *key)
+                if last is not None and not last.frames:
+                    last.time, last.cause, last.speakers = time, cause, speaker
+                    last.late_half, last.length = late_half, length
+                    last.frames.append(frame)
+                    continue
+            if last is None:
                 continue
             if not late_half:
                 last.late_half = False
@@ -539,6 +557,31 @@ class Observer:
                 else:
                     last.frames[-1], last.cut = frame, True
         station.cursor = self._dropped + len(log)
+
+    @staticmethod
+    def _open(station: Station, kind: Kind, var_id: int) -> Interval | None:
+        """Return the interval since the node's last beacon, without frames if it is new.
+
+        None if the records do not count: the node's last statement of the number is too old, beacons of it are missing
+        since then, or it has too many open occasions.
+        """
+        beacons, opened_of = station.beacons, station.open
+        opened = opened_of.get(var_id)
+        if opened is None and len(opened_of) >= MOST_OPEN:
+            return None
+        if kind in _ABSENT:
+            station.waiting[var_id] = None
+        elif station.stated_at[var_id] < max(station.gap, beacons - _FRESH):
+            return None
+        if opened is None:
+            opened = opened_of[var_id] = {}
+        intervals = opened.setdefault(kind, [])
+        if not intervals or intervals[-1].begin != beacons:
+            intervals.append(Interval(beacons))
+            if len(intervals) > _OPEN:
+                intervals.pop(0)
+                intervals[0].cut = True
+        return intervals[-1]
 
 
 def _exposure(intervals: Sequence[Interval]) -> Exposure:

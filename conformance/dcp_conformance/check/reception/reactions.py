@@ -187,7 +187,9 @@ class Reception:
             elif hits >= 2:
                 # The node reacts as required now: earlier missing reactions had another cause.
                 self._keep(key, self._tallies.pop(key, None))
-        # A reaction that the node never shows is not evidence of reception: infer links from other groups, if any.
+        # A reaction that may have another cause is not evidence of reception, nor is one that the node never shows:
+        # infer links from other groups, if any.
+        trials = [trial for trial in trials if not trial.open_cause]
         left_out = {id(trial) for _, group in suspects for trial in group}
         rest = [_may_be_due_to(trial, unrecorded) for trial in trials if id(trial) not in left_out]
         if suspects:

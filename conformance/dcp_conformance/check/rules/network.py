@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.analysis.lag import lags
-from dcp_codec.analysis.ledger import Entry
+from dcp_codec.analysis.entry import Entry
 from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.reception import reception_of
 from dcp_conformance.check.statements import (
@@ -26,18 +25,12 @@ from dcp_conformance.check.statements import (
     statement_of,
 )
 from dcp_conformance.model.circular import Circle
-from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
-from .vardis import seqno_of
-
-SECOND = 1_000_000_000
 #: Number of beacons with room in which a node must send the value whose number its summaries state.
 _PATIENCE = 8
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
-#: Time in ns after which a producer's number must have reached all nodes.
-_STABLE = 3 * SECOND
 #: A protocol of a node has fallen silent if at least ``_SPOKE`` beacons, and the share ``_MOSTLY`` of all beacons up to
 #: its last payload, had a payload of it, and the last ``_SILENT`` beacons had none.
 _SPOKE, _SILENT, _MOSTLY = 20, 30, 0.9
@@ -47,26 +40,23 @@ _OFTEN, _ANSWERED = 10, 3
 
 
 @dataclass(slots=True)
-class _Backing:
-    """The number of a variable that a node states, and whether the node has sent its value."""
+class _Unbacked:
+    """A number of a variable that a node summarises, and whose value it has not sent."""
 
-    statement: Statement
-    """The node's first record with this number."""
-    number: int
-    backed: bool
-    """Whether the node has sent an update or create with this number, or beacons that may have had it are missing."""
-    time: int
-    """Time of the node's last record with this number, ns since 1970."""
-    before: Statement | None = None
-    """The node's last record with the previous number."""
-    last: Statement | None = None
-    """The node's last summary with this number."""
+    entry: Entry
+    before: Statement | None
+    """The node's last record with the previous number; None if the node did not have the variable."""
+    first: Statement
+    """The first summary with the number."""
     beacons: int = 0
-    """Number of beacons with room for the value but without it."""
+    """Number of beacons with the summary and room for the value, but without it."""
 
 
 class Backed(Invariant):
-    """Check that a node sends the values whose numbers its summaries state."""
+    """Check that a node sends the values whose numbers its summaries state.
+
+    The ledger tells which states begin with a summary, and how often a node has sent their value.
+    """
 
     id = "CK_VD_BACKED"
     section = "dcp-vardis.md: Global versus Local Dissemination"
@@ -76,7 +66,6 @@ class Backed(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._known: dict[bytes, dict[int, _Backing]] = {}
         self._longest: dict[bytes, int] = {}
         """Node -> length of its longest beacon in octets."""
         self._whole: dict[bytes, tuple[int, int]] = {}
@@ -84,123 +73,70 @@ class Backed(Invariant):
         it has summarised all its variables."""
         self._created: set[int] = set()
         """Variables with a create or update in the recording."""
-        self._unbacked: dict[bytes, set[int]] = {}
+        self._unbacked: dict[bytes, dict[int, _Unbacked]] = {}
         """Node -> variables whose value it has not sent, but may still send in time."""
-        self._pairs = 0
-        """Number of entries in ``_known``. It is limited for all nodes together: forged beacons can have any number of
-        variables."""
 
     def feed(self, seen: Seen) -> None:
         """Follow the numbers of the sender."""
-        if not seen.parts:
-            return
-        known = self._known.get(seen.sender)
         sender = self.context.senders.get(seen.sender)
-        if sender is None:
+        if not seen.parts or sender is None:
             return
-        if known is None:
-            if len(self._known) >= MOST_SENDERS:
-                return
-            known = self._known[seen.sender] = {}
-            self._unbacked[seen.sender] = set()
-        unbacked = self._unbacked[seen.sender]
         length, longest = len(seen.heard.octets), self._longest.get(seen.sender, 0)
         room = length + 60 <= max(_ROOM, longest * 0.9)
         if length > longest:
             self._longest[seen.sender] = length
         unbroken, whole = self._whole.get(seen.sender, (0, 0))
+        unbacked = self._unbacked.get(seen.sender)
         if unbroken != sender.unbroken:
-            # The node may have sent the create of a variable in a missing beacon.
+            # The node may have sent values, and creates of variables, in missing beacons.
             whole = 0
-        # Only new records and variables without a value are processed. A repeated summary changes only the time, which
-        # the context keeps.
-        changed = set(unbacked)
+            if unbacked:
+                unbacked.clear()
         for each, before in seen.news:
-            kind, state = each.kind, known.get(each.var_id)
-            if state is not None and before is not None and before.kind is SUMMARY:
-                state.time, state.last = before.time, before
+            kind, var_id = each.kind, each.var_id
             if kind is CREATE or kind is UPDATE:
-                self._created.add(each.var_id)
-                self._back(known, each, sender.time)
-                unbacked.discard(each.var_id)
-            elif kind is DELETE:
-                self._pairs -= known.pop(each.var_id, None) is not None
-                unbacked.discard(each.var_id)
-            changed.add(each.var_id)
+                self._created.add(var_id)
+            if unbacked and kind is not ASK_UPDATE and kind is not ASK_CREATE:
+                unbacked.pop(var_id, None)
+            if kind is SUMMARY and (before is not None or whole > _PATIENCE):
+                entry = self.context.ledger.held(seen.sender, var_id)
+                # If all variables of the node were known so far, one without an earlier record is new.
+                if entry is not None and not entry.values:
+                    if unbacked is None:
+                        unbacked = self._unbacked[seen.sender] = {}
+                    unbacked[var_id] = _Unbacked(entry, before, each)
         summaries = 0
         for kind, records, ids in seen.parts:
             if kind is SUMMARY:
                 summaries += len(ids)
-                if not changed.isdisjoint(ids):
-                    for record in [record for record, var_id in zip(records, ids, strict=True) if var_id in changed]:
-                        each = statement_of(kind, record, seen.heard, seen.sender)
-                        self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
-        self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
+                if unbacked and room and not unbacked.keys().isdisjoint(ids):
+                    for record, var_id in zip(records, ids, strict=True):
+                        if var_id in unbacked:
+                            self._summarised(unbacked, statement_of(kind, record, seen.heard, seen.sender))
+        whole = whole + 1 if summaries >= self.context.ledger.holds(seen.sender) else 0
+        self._whole[seen.sender] = (sender.unbroken, whole)
 
-    def _back(self, known: dict[int, _Backing], each: Statement, time: int) -> None:
-        """Process a create or update: the node has sent the value of this number."""
-        state = known.get(each.var_id)
-        if state is not None and state.number == seqno_of(each):
-            state.backed, state.time = True, time
-        elif state is not None or self._pairs < MOST_VARIABLES:
-            self._pairs += state is None
-            known[each.var_id] = _Backing(each, seqno_of(each), backed=True, time=time)
-
-    def _summary(
-        self, known: dict[int, _Backing], each: Statement, seen: Seen, unbroken: int, *, complete: bool, room: bool
-    ) -> None:
-        """Process a summary; report its number if its value was not sent in time.
-
-        ``unbroken``: time since which no beacon of the node is missing. ``complete``: all variables of the node are
-        known. ``room``: the beacon had room for the value.
-        """
-        state, number = known.get(each.var_id), each.record.seqno
-        if state is None:
-            if self._pairs < MOST_VARIABLES:
-                self._pairs += 1
-                # If all variables of the node were known so far, this one is new.
-                known[each.var_id] = _Backing(each, number, backed=not complete, time=seen.time)
-                if complete:
-                    self._unbacked[seen.sender].add(each.var_id)
+    def _summarised(self, unbacked: dict[int, _Unbacked], each: Statement) -> None:
+        """Count a beacon with room for a value, but without it; report the number if there are too many."""
+        state = unbacked[each.var_id]
+        state.beacons += 1
+        if state.beacons < _PATIENCE:
             return
-        if unbroken > state.time:
-            # The value may have been in a missing beacon.
-            known[each.var_id] = _Backing(each, number, backed=True, time=seen.time)
-            self._unbacked[seen.sender].discard(each.var_id)
-            return
-        if number != state.number:
-            state = known[each.var_id] = _Backing(
-                each, number, backed=False, time=seen.time, before=state.last or state.statement
-            )
-            self._unbacked[seen.sender].add(each.var_id)
-        state.time, state.last = seen.time, each
-        if state.backed:
-            return
-        state.beacons += room
-        if state.beacons == _PATIENCE:
-            self._unbacked[seen.sender].discard(each.var_id)
-            self.exercised()
-            self._report_number(state, each, seen)
-
-    def _report_number(self, state: _Backing, each: Statement, seen: Seen) -> None:
-        """Report a number without a value."""
-        who = f"{name(seen.sender)}, variable {each.var_id}"
+        del unbacked[each.var_id]
+        self.exercised()
+        who = f"{name(each.sender)}, variable {each.var_id}"
         if state.before is None:
             nobody = "" if each.var_id in self._created else ", and no node has created it"
             text = f"{who}: summaries of a variable without a create of this node{nobody}"
-            self.violated(text, [state.statement, each], once=(seen.sender, each.var_id, "new"))
+            self.violated(text, [state.first, each], once=(each.sender, each.var_id, "new"))
             return
-        text = f"{who}: summaries with {state.number} after {seqno_of(state.before)}, but no update with that number"
-        self.violated(text, [state.before, state.statement, each], once=(seen.sender, each.var_id))
+        text = f"{who}: summaries with {each.number} after {state.before.number}, but no update with that number"
+        self.violated(text, [state.before, state.first, each], once=(each.sender, each.var_id))
 
     def finish(self) -> None:
-        """Count the numbers whose values were sent."""
-        self._of_all += sum(each.backed for known in self._known.values() for each in known.values())
-
-
-def _mark(entry: Entry) -> Mark:
-    """Return the place of the first record with a state."""
-    return Mark(entry.frame, path=f"{entry.kind.label} {entry.var_id}")
+        """Count the numbers whose values were sent, or may have been."""
+        held = sum(self.context.ledger.holds(node) for node in self.context.ledger.nodes)
+        self._of_all += held - sum(map(len, self._unbacked.values()))
 
 
 class Agreement(Invariant):
@@ -216,30 +152,29 @@ class Agreement(Invariant):
         """Count the states of nodes, and report those that a node keeps after the producer has left them."""
         circle = Circle(self.context.profile.types.var_seqno.width)
         ledger = self.context.ledger
-        entries = ledger.entries()
-        self.exercised(times=sum(each.number >= 0 for each in entries))
-        for each in lags(entries, ledger.producers):
-            held, newest = each.held, each.newest
-            if each.age < _STABLE:
-                continue
+        self.exercised(times=sum(each.number >= 0 for each in ledger.entries()))
+        for held in ledger.stale(self.context.pics.pixit.beacon_period_ms * 1e6):
+            left, newest = held.left, held.newest
+            assert left is not None
+            assert newest is not None
             what = "a value of the producer that does not reach a node"
             if circle.newer(held.number, newest.number):
                 what = "a stale value that looks newer than that of the producer (H8)"
-            elif not each.numbers:
+            elif not held.missed:
                 what = "a deletion by the producer that a node does not follow"
             its = []
-            if each.numbers:
-                its.append(f"has {newest.number}, {each.numbers} number{'' if each.numbers == 1 else 's'} later")
-            if each.deleted:
+            if held.missed:
+                its.append(f"has {newest.number}, {held.missed} number{'' if held.missed == 1 else 's'} later")
+            if held.deleted:
                 its.append("has deleted it")
             text = (
-                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {each.age / 1e9:.1f} s after its "
+                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {held.age / 1e9:.1f} s after its "
                 f"producer {name(newest.node)} has changed it; by then the producer {', and '.join(its)}"
             )
             if held.asked:
                 text += f"; the node requests the update {held.asked} times"
             key = (held.node, held.var_id, what)
-            self.violated(text, [_mark(each.left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
+            self.violated(text, [held, left], expected=what, verdict=Verdict.INFO, once=key)
 
 
 @dataclass(slots=True)

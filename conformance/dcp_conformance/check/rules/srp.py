@@ -204,7 +204,9 @@ class ReportNumbers(Invariant):
                 if count == _STUCK:
                     text = f"{who}: {count} different reports with seqno {report.seqno}"
                     self.violated(text, both, "SRP-TYP-06", "SRP-SEQ-01", once=(who, "stuck"))
-            if not same and report.t_stamp != last.report.t_stamp and report.seqno > _RESTART:
+            # A restarted node may have come to the same number.
+            least = _RESTART if _continues(last.seen, seen) else _RESTART + (seen.time - last.seen.time) / _SPACING
+            if not same and report.t_stamp != last.report.t_stamp and report.seqno > least:
                 self.violated(
                     f"{who}: another report with seqno {report.seqno}", both, "SRP-TYP-06", once=(who, "same")
                 )

@@ -142,18 +142,18 @@ class PayloadConsistency(Invariant):
 
 def _several(seen: Seen) -> tuple[set[int], bool]:
     """Return the variables with several creates, updates and summaries in a beacon, and whether it has deletes."""
-    found, several, deletes = set[int](), set[int](), False
+    found, every, deletes = set[int](), list[int](), False
     for kind, _, ids in seen.parts:
         if kind is DELETE:
             deletes = True
         elif kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            distinct = set(ids)
-            if len(distinct) < len(ids):
-                several.update(each for each in distinct if ids.count(each) > 1)
-            if not found.isdisjoint(distinct):
-                several |= found & distinct
-            found |= distinct
-    return several, deletes
+            found.update(ids)
+            every += ids
+    if len(found) == len(every):
+        return set(), deletes
+    for each in found:
+        every.remove(each)
+    return set(every), deletes
 
 
 def _statements(seen: Seen, several: set[int]) -> Sequence[Statement]:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from dcp_conformance.reference.inprocess import MakeNode
 from dcp_conformance.reference.networks import MS, SECOND, MixedNetwork, Other, identifier
-from dcp_selftest.mutants import all_mutants
-from dcp_selftest.mutants.mutant import node_with
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.mutants.mutant import node_with
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
+from dcp_stack.control.client import ServiceError
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.virtual.quality import Quality
 from dcp_stack.virtual.topology import Line
@@ -22,6 +24,8 @@ PROFILE = "dcp-2.0"
 NODES = [identifier(PROFILE, index) for index in range(5)]
 #: The faulty node, and the links as an option of ``check``.
 FAULTY, LINKS = 2, "00:00-00:01-00:02-00:03-00:04"
+#: The variables whose numbers are compared with the databases.
+VARIABLES = (1, 5, 14, 16)
 
 
 class _Stuck(Receiver):
@@ -73,9 +77,24 @@ FAULTS: dict[str, Callable[[], MakeNode]] = {
 }
 
 
-@cache
+class Recording(NamedTuple):
+    """A recording with its ground truth."""
+
+    frames: tuple[Frame, ...]
+    begin: int
+    """Time of second 0 by the recorder's clock, ns since 1970."""
+    numbers: dict[tuple[int, int, int], int | None]
+    """(second, node, variable) -> number of the value in the database of the node; None without the variable."""
+
+
 def recorded(fault: str = "", loss: float = 0.0, seconds: int = 40) -> tuple[Frame, ...]:
-    """Return the recording of a line; without a fault all nodes are reference nodes.
+    """Return the frames of :func:`record_line`."""
+    return record_line(fault, loss, seconds).frames
+
+
+@cache
+def record_line(fault: str = "", loss: float = 0.0, seconds: int = 40) -> Recording:
+    """Record a line; without a fault all nodes are reference nodes.
 
     Node 0 produces variable 1, node 4 variable 5, both with an update every 0.7 s up to number 50. Variables 14 and 16
     are deleted in the payload that creates 43 and 45.
@@ -87,6 +106,7 @@ def recorded(fault: str = "", loss: float = 0.0, seconds: int = 40) -> tuple[Fra
         vardis=VardisConfig(),
     )  # fmt: skip
     frames: list[Frame] = []
+    begin = network.wall
 
     class _Recorder:
         def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
@@ -116,5 +136,18 @@ def recorded(fault: str = "", loss: float = 0.0, seconds: int = 40) -> tuple[Fra
         network.at((3000 + 500 * old) * MS, partial(create, node, old, 2))
         network.at((6000 + 500 * old) * MS, partial(replace, node, old, old + 29))
     network.at((seconds - 2) * SECOND, lambda: network.ask(0, "RTDB-Delete", varId=1))
+    numbers: dict[tuple[int, int, int], int | None] = {}
+
+    def read(second: int) -> None:
+        for node in range(5):
+            for variable in VARIABLES:
+                value: str | None = None
+                with suppress(ServiceError):
+                    value = network.request(node, "RTDB-Read", varId=variable).get("value")
+                # The value is the number, four times.
+                numbers[second, node, variable] = int(value[:2], 16) if value else None
+
+    for second in range(2, seconds):
+        network.at(second * SECOND, partial(read, second))
     network.run_until(seconds * SECOND)
-    return tuple(frames)
+    return Recording(tuple(frames), begin, numbers)
