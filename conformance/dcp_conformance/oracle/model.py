@@ -12,8 +12,8 @@ producer, or, after the timeout of the variable, the end of the next scrubbing.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from dcp_spec.constants import Features, ICType
 
@@ -47,7 +47,8 @@ DELETION: Final = (_DELETES, 0)
 _MS = 1_000_000
 
 
-def _place(record: VardisRecord) -> int:
+def processing_order(record: VardisRecord) -> int:
+    """Return the place of a record in the order in which the records of a payload are processed (VD-RX-08)."""
     return _ORDER[record.IC_TYPE]
 
 
@@ -87,11 +88,11 @@ class Model:
     def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
         """Process the records of a received payload in the order of the specification."""
         variables = self.variables
-        for record in records if len(set(map(type, records))) == 1 else sorted(records, key=_place):
+        for record in records if len(set(map(type, records))) == 1 else sorted(records, key=processing_order):
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             variable = variables.get(var_id) or self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
-                _HEAR[record.IC_TYPE](self, record, variable, time, frame)
+                getattr(self, _HEAR[record.IC_TYPE])(record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
         """Mark a variable as uncertain: the node may or may not have processed a record about it.
@@ -374,13 +375,13 @@ def _creation(version: Version) -> int:
     return NO_CREATION if version.spec is None else version.spec.creation_time or 0
 
 
-#: Functions of the class: bound methods would make each model refer to itself, and the thousands of models a second in
-#: a fuzzer would live until the garbage collector runs.
-_HEAR: Final[dict[ICType, Callable[[Model, Any, Variable, int, int], None]]] = {
-    _CREATES: Model._receive_create,
-    _DELETES: Model._receive_delete,
-    _UPDATES: Model._receive_update,
-    _SUMMARIES: Model._receive_summary,
-    _UPDATE_REQUESTS: Model._receive_update_request,
-    _CREATE_REQUESTS: Model._receive_create_request,
+#: Names instead of bound methods, which would make each model refer to itself: the thousands of models a second in a
+#: fuzzer would live until the garbage collector runs.
+_HEAR: Final[dict[ICType, str]] = {
+    _CREATES: "_receive_create",
+    _DELETES: "_receive_delete",
+    _UPDATES: "_receive_update",
+    _SUMMARIES: "_receive_summary",
+    _UPDATE_REQUESTS: "_receive_update_request",
+    _CREATE_REQUESTS: "_receive_create_request",
 }
