@@ -12,8 +12,9 @@ from dcp_codec.values import Container, VarCreate, VardisRecord, VarSpec
 
 from .judgement import Expected, Finding
 from .knowledge import NEVER, Limits, Obligation, State, Variable, Version
-from .model import processing_order
+from .model import TAUGHT, processing_order
 from .queues import Order
+from .repetitions import IN_FLIGHT
 from .services import OK, Situation, expected
 from .vardis import Oracle
 
@@ -25,6 +26,8 @@ _ROTATION: Final = {
     _CREATES: "VD-CMP-06", _DELETES: "VD-CMP-10", _UPDATES: "VD-CMP-09", _SUMMARIES: "VD-CMP-03",
     _CREATE_REQUESTS: "VD-PAY-06", _UPDATE_REQUESTS: "VD-PAY-06",
 }  # fmt: skip
+#: Instructions that are sent several times.
+_ROTATED: Final = frozenset({_CREATES, _DELETES, _UPDATES})
 #: By kind of a record that has not changed a variable: the requirements.
 _IGNORED: Final = {
     _CREATES: ("VD-PC-01", "VD-PC-04"), _DELETES: ("VD-PD-01", "VD-PD-03"), _UPDATES: ("VD-PU-05", "VD-PU-03"),
@@ -36,6 +39,16 @@ _FLAWS: Final = {
 _TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
 _STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
 _SITUATIONS: Final = tuple(Situation(state, own) for state in _STATES for own in (False, True))
+
+
+class Due(msgspec.Struct):
+    """An instruction in its queue. Each payload with room must contain it until it has been sent often enough."""
+
+    left: int
+    """Number of payloads that must still contain it."""
+    time: int
+    """When it was queued, ns."""
+    requirement: str
 
 
 class Room:
@@ -68,6 +81,8 @@ class VardisModel(Oracle):
         self.mine: set[int] = set()
         self.why: dict[int, tuple[str, ...]] = {}
         """By variable: the requirements that decide its state after the last event."""
+        self._due: dict[tuple[ICType, int], Due] = {}
+        """By kind and variable."""
         self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
         self._longest = (limits.max_value_length, limits.max_description_length)
         self._passed: dict[int, int] = {}
@@ -125,15 +140,38 @@ class VardisModel(Oracle):
         if requirement not in ("VD-PC-09", "VD-CRE-12"):
             self._order.append(kind, var_id, time, requirement, waiting=waiting)
 
+        spec = self.variables[var_id].now.spec
+        before = self._due.get((kind, var_id))
+        if kind in _ROTATED and requirement not in TAUGHT and spec is not None:
+            self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement)
+        elif before is None:
+            # Sent once for certain: it may have been in its queue already.
+            self._due[kind, var_id] = Due(1, time, requirement)
+
+    def _surely_queued(self, kind: ICType, var_id: int) -> bool:
+        due = self._due.get((kind, var_id))
+        return due is not None and due.left > IN_FLIGHT and not self._lossy
+
+    def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
+        super()._settle(kind, var_id, seqno)
+        if seqno is None:
+            self._due.pop((kind, var_id), None)
+
     def _forget(self, var_id: int) -> None:
         super()._forget(var_id)
+        self._remove(var_id)
+
+    def _remove(self, var_id: int) -> None:
+        """Record that a variable is in no queue, or that this is not known."""
         self._order.remove(var_id)
+        for kind in ICType:
+            self._due.pop((kind, var_id), None)
 
     def _lose(self, variable: Variable) -> None:
         super()._lose(variable)
         for var_id, each in self.variables.items():
             if each is variable:
-                self._order.remove(var_id)
+                self._remove(var_id)
 
     def _fade(self, variable: Variable, var_id: int, time: int) -> None:
         """Process a timeout: only a node that scrubs the variables of others deletes them (X26)."""
@@ -202,6 +240,7 @@ class VardisModel(Oracle):
         self.active, self.switched = active, time
         # X37: what was pending may be dropped; X36: whether time passes for variables with a timeout is open.
         self._owed.clear()
+        self._due.clear()
         self._order.forget()
         for variable in self.variables.values():
             if variable.due != NEVER:
@@ -372,6 +411,12 @@ class VardisModel(Oracle):
         if not self._lossy:
             yield from self._ordered(groups, since, owed)
             yield from self._missing(groups, octets, since)
+        for kind, record in records:
+            key = kind, _var_id(record)
+            if due := self._due.get(key):
+                due.left -= 1
+                if not due.left:
+                    del self._due[key]
 
     def _shown(self, containers: Sequence[Container]) -> int:
         """Return the earliest time of the composition of a payload, given the events that it shows."""
@@ -430,23 +475,25 @@ class VardisModel(Oracle):
         free = min(self.room.most, self.room.registered) - octets
         if any(changed >= since for changed, _, _ in self.room.former):
             return
-        for var_id in list(self._owed):
-            variable = self.variables.get(var_id)
-            if var_id not in self.mine or variable is None or variable.uncertain or variable.due != NEVER:
+        for (kind, var_id), due in self._due.items():
+            variable, there = self.variables[var_id], groups.get(kind, ())
+            if var_id not in self.mine or variable.uncertain or variable.due != NEVER:
                 continue
-            for each in self._owed.get(var_id, []):
-                there = groups.get(each.kind, ())
-                if max(each.time, variable.settled) + self.late >= since or len(there) >= 255:
-                    continue
-                if each.kind in (_CREATES, _UPDATES) and not self._features.receive_checks_too_long:
-                    # The head of the queue may have any size, and hold up the others.
-                    continue
-                if self._needs(each.kind) + self.room.header > free:
-                    continue
-                self._owed[var_id] = [other for other in self._owed[var_id] if other is not each]
-                which = ("VD-PAY-02", each.requirement) if there else (each.requirement, "VD-CMP-13")
-                yield Finding(which, f"{each.kind.label} of variable {var_id} in this payload, which has room", "none")
-                return
+            if any(_var_id(each) == var_id for each in there) or len(there) >= 255:
+                continue
+            if max(due.time, variable.settled) + self.late >= since or self._needs(kind) + self.room.header > free:
+                continue
+            if kind in (_CREATES, _UPDATES) and not self._features.receive_checks_too_long:
+                # The head of the queue may have any size, and hold up the others.
+                continue
+            del self._due[kind, var_id]
+            spec = variable.now.spec
+            if kind in _ROTATED and spec is not None and due.left < spec.rep_cnt:
+                which = (due.requirement, _ROTATION[kind])
+            else:
+                which = ("VD-PAY-02", due.requirement) if there else (due.requirement, "VD-CMP-13")
+            yield Finding(which, f"{kind.label} of variable {var_id} in this payload, which has room", "none")
+            return
 
     def silent(self, time: int) -> Iterator[Finding]:
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""

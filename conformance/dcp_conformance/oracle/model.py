@@ -43,6 +43,8 @@ _ORDER = {
     for place, each in enumerate((_CREATES, _DELETES, _UPDATES, _SUMMARIES, _UPDATE_REQUESTS, _CREATE_REQUESTS))
 }
 DELETION: Final = (_DELETES, 0)
+#: The requirements by which an older number is answered, unless the answer is queued already.
+TAUGHT: Final = frozenset({"VD-PU-06", "VD-PS-03"})
 #: ns in a millisecond, the unit of timeouts.
 _MS = 1_000_000
 
@@ -143,7 +145,8 @@ class Model:
             variable.repetitions.clear()
             variable.repetitions.arm(DELETION, self._limits.max_repetitions, time)
             self._forget(record.var_id)
-            self._become(variable, known._replace(since=time, state="deleted"))
+            # Which creation and number is deleted is not known.
+            self._become(variable, Version(time, "deleted", None, 0, b""))
         elif known.state == "alive" and not self._own(known):
             self._forget(record.var_id)
             self._become(variable, known._replace(since=time, state="deleted"))
@@ -160,6 +163,7 @@ class Model:
                 version = Version(time, "alive", known.spec, record.seqno, record.value, own_values(record))
                 self._become(variable, version)
                 self._settle(_UPDATE_REQUESTS, record.var_id)
+                variable.repetitions.drop((_UPDATE_REQUESTS, 0))
                 # Older numbers are not owed any more, also those that seem newer after the number has wrapped.
                 self._settle(_UPDATES, record.var_id)
                 self._arm(_UPDATES, record.var_id, time, frame, "VD-PU-07")
@@ -299,9 +303,16 @@ class Model:
         known = variable.versions[-1]
         spec, seqno = known.spec, known.seqno
         repetitions = spec.rep_cnt if spec is not None else 0
+        if requirement in TAUGHT and self._surely_queued(kind, var_id):
+            return
         variable.repetitions.arm((kind, seqno if kind is _UPDATES else 0), repetitions, time)
         if repetitions > 0:
             self._oblige(kind, var_id, seqno, time, frame, requirement)
+
+    def _surely_queued(self, kind: ICType, var_id: int) -> bool:
+        """Return whether an instruction is surely in its queue, so that an older number does not queue it again."""
+        del kind, var_id
+        return False
 
     def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
         """Allow one more request. It is mandatory unless the variable may be deleted."""

@@ -97,7 +97,8 @@ class Order:
         there = {var_id: place for place, var_id in enumerate(var_ids)}
         for var_id, position in there.items():
             mine = places.get(var_id)
-            if mine is None:
+            if mine is None or (mine.renewed and mine.appended is not None and mine.appended >= since):
+                # The payload may have been composed before the entry left its former place.
                 continue
             for other, place in places.items():
                 if other == var_id or there.get(other, 1 << 30) < position or not self._ahead(place, mine):

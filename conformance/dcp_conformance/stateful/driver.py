@@ -30,7 +30,7 @@ from dcp_conformance.oracle.node import NodeModel
 from dcp_conformance.upper_tester import Answer
 
 from .executor import Event, Executor
-from .steps import FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
+from .steps import AGAIN, FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
 
 #: Services whose octets are given as sizes.
 _SIZED: Final = ("payload", "value")
@@ -226,7 +226,7 @@ class Driver:
             model.bp.unknown_outcome(method, params)
             return None
         if method == "RTDB-Create" and answer.ok:
-            self.model.created(params, self._creation(params["varId"]), after[0])
+            self._judge(model.created(params, self._creation(params["varId"]), after[0]))
         self._judge(model.confirmed(method, params, answer.result | {"status": answer.status}, before, after))
         return answer
 
@@ -249,7 +249,7 @@ class Driver:
             params["value"] = max(params["value"], self.model.least_payload)
         for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
-                params[name] = self._octets(params[name]).hex()
+                params[name] = self._octets(params[name], again=bool(params.pop(AGAIN, False))).hex()
         for name in ("descr", "name"):
             if isinstance(params.get(name), int):
                 params[name] = _letters(params[name])
@@ -258,8 +258,8 @@ class Driver:
             # 1.0 has one mode with a queue.
             params["queueingMode"] = str(QueueingMode.QUEUE)
         if step.method == "SRP-UpdateSafetyData":
+            self._handed += not params.pop(AGAIN, False)
             params["sData"] = self._safety_data(self._handed)
-            self._handed += 1
         return params
 
     def _variable(self, number: int) -> int:
@@ -267,9 +267,9 @@ class Driver:
         self.model.vardis.mine.add(var_id)
         return var_id
 
-    def _octets(self, size: int) -> bytes:
-        """Return octets that differ from those before, as far as the size allows."""
-        self._mark += 1
+    def _octets(self, size: int, *, again: bool = False) -> bytes:
+        """Return octets that differ from those before, as far as the size allows; ``again``: the octets before."""
+        self._mark += not again
         mark = self._mark.to_bytes(2, "big") if size > 1 else bytes((self._mark % 256,))
         return (mark * (size // len(mark) + 1))[:size]
 
@@ -361,10 +361,10 @@ class Driver:
                 if isinstance(each, Client):
                     prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
                     self._count(model.bp.client_state(prot_id), f"payload{about}")
-                    blocks.append(Block(prot_id, self._octets(each.size)))
+                    blocks += [Block(prot_id, self._octets(each.size, again=each.again)) for _ in range(each.count)]
                 elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
                     for number in range(each.neighbour, each.neighbour + each.count):
-                        report = self._report(number, each.seqno)
+                        report = self._report(number, each.seqno, earlier=each.earlier)
                         self._count(model.srp.state_of(report.node_id), f"report{about}")
                         if each.count > 1:
                             yield [self._builder.srp(report)]
@@ -453,7 +453,7 @@ class Driver:
         )
         return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size)))))
 
-    def _report(self, number: int, seqno: int) -> ExtendedSafetyData:
+    def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
         codec = self.executor.codec
         kind = codec.safety_data_type
         self._mark += 1
@@ -464,9 +464,9 @@ class Driver:
             else value
             for name, value in values.items()
         }
-        return ExtendedSafetyData(
-            kind(**data), self.executor.names.neighbour(number)[0], self.executor.names.creation(self._mark % 8), seqno
-        )
+        names = self.executor.names
+        stamp = names.creation(0 if earlier else 1 + self._mark % 7)
+        return ExtendedSafetyData(kind(**data), names.neighbour(number)[0], stamp, seqno)
 
     def _state(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of the state of the model that a service depends on."""

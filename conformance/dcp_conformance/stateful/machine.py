@@ -20,8 +20,8 @@ from dcp_conformance.oracle.bp import Client as Registration
 from dcp_conformance.oracle.knowledge import NO_CREATION
 
 from .driver import Counterexample, Driver
-from .executor import Executor
-from .steps import OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
+from .executor import TWIN, Executor
+from .steps import AGAIN, OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
 
 #: Numbers of protocols, variables and neighbours: mostly the first, since what happens twice to one finds more.
 _CLIENTS: Final = 3
@@ -29,7 +29,7 @@ _CLIENTS: Final = 3
 WHICH: Final = st.sampled_from((0, 0, 0, 1, 2))
 PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
 VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
-NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
+NEIGHBOURS: Final = st.sampled_from((0, 0, 0, 1, 2, TWIN))
 #: Beacon periods of a wait.
 PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
 #: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
@@ -55,6 +55,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
         "payload",
         "records",
         "renew",
+        "change_period",
         "wait",
     ),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
@@ -65,11 +66,13 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
     "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
     "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
-    "one variable": ("records", "records", "records", "records", "create", "update", "delete", "wait"),
+    "variable": ("records", "records", "records", "records", "create", "update", "delete", "wait"),
+    "own-variable": ("create", "update", "update", "delete", "wait", "wait", "records"),
     "everything": (),
 }
 #: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
-_CHOSEN: Final = (*THEMES, *("one variable",) * 5)
+_ONE: Final = ("variable", "own-variable")
+_CHOSEN: Final = (*THEMES, *_ONE, *("variable",) * 4)
 #: How a sequence about one variable begins: by whom it was created, whether it was deleted, and whether time passed.
 _BEGINNINGS: Final = tuple(
     (creator, deleted, later) for creator in ("", "node", "neighbour") for deleted in (False, True)
@@ -84,6 +87,7 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 _FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
+_AGAIN: Final = st.sampled_from((False,) * 5 + (True,))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
 RECORDS: Final = (
@@ -158,7 +162,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Choose what the sequence is about."""
         self.title = theme
         self.theme = THEMES[theme] or tuple(ACTIONS)
-        if theme == "one variable" and self._vardis and self.executor.hears_vardis:
+        if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
 
     def _begin(self, creator: str, deleted: bool, later: bool) -> None:
@@ -176,7 +180,7 @@ class NodeMachine(RuleBasedStateMachine):
 
     def _variable(self, number: int) -> int:
         """Return the number of a variable; 0 if the sequence is about one."""
-        return 0 if self.title == "one variable" else number
+        return 0 if self.title in _ONE else number
 
     @rule(data=st.data())
     def act(self, data: st.DataObject) -> None:
@@ -279,8 +283,9 @@ class NodeMachine(RuleBasedStateMachine):
         which=WHICH,
         size=st.sampled_from(("usual", "most", "usual", "usual", "above", "empty", "one")),
         times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
+        again=_AGAIN,
     )
-    def submit(self, which: int, size: str, times: int | str) -> None:
+    def submit(self, which: int, size: str, times: int | str, again: bool) -> None:
         """Submit payloads."""
         number = self._one_of(which)
         client = self.registrations()[number]
@@ -289,7 +294,8 @@ class NodeMachine(RuleBasedStateMachine):
         ]
         if times == "fill":
             times = client.entries + 1 if client.mode in _QUEUES else 2
-        self.take(Call("BP-TransmitPayload", {"protId": number, "payload": octets}, int(times)))
+        params = {"protId": number, "payload": octets} | ({AGAIN: True} if again else {})
+        self.take(Call("BP-TransmitPayload", params, int(times)))
 
     @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=WHICH)
     def clear(self, which: int) -> None:
@@ -307,11 +313,13 @@ class NodeMachine(RuleBasedStateMachine):
         sender=NEIGHBOURS,
         number=PROTOCOLS,
         size=st.sampled_from((4, 1, 20, 0)),
+        count=st.sampled_from((1, 1, 1, 1, 2, 140)),
+        again=_AGAIN,
         fault=_FAULTS,
     )
-    def payload(self, sender: int, number: int, size: int, fault: Any) -> None:
-        """Send a payload to a client protocol."""
-        self.take(Beacon(sender, (Client(number, size),), fault))
+    def payload(self, sender: int, number: int, size: int, count: int, again: bool, fault: Any) -> None:
+        """Send payloads to a client protocol."""
+        self.take(Beacon(sender, (Client(number, size, count, again),), fault))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -385,13 +393,18 @@ class NodeMachine(RuleBasedStateMachine):
 
     # -- SRP -------------------------------------------------------------------------------------------------
 
-    @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
-    def submit_safety_data(self, times: int, pause: bool) -> None:
+    @action(
+        lambda self: self.has("SRP-UpdateSafetyData"),
+        times=st.sampled_from((1, 2)),
+        pause=st.sampled_from((0, 0.4, 2)),
+        again=_AGAIN,
+    )
+    def submit_safety_data(self, times: int, pause: float, again: bool) -> None:
         """Submit safety data."""
         for _ in range(times):
             if pause:
-                self.take(Wait(0.4))
-            self.take(Call("SRP-UpdateSafetyData"))
+                self.take(Wait(pause))
+            self.take(Call("SRP-UpdateSafetyData", {AGAIN: True} if again else {}))
 
     @action(
         lambda self: self.has("SRP-NeighbourTable"),
@@ -399,11 +412,12 @@ class NodeMachine(RuleBasedStateMachine):
         neighbour=st.sampled_from((0, 1, 2, 3)),
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
+        earlier=st.sampled_from((False, False, False, True)),
         fault=_FAULTS,
     )
-    def report(self, sender: int, neighbour: int, seqno: int, count: int, fault: Any) -> None:
+    def report(self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, fault: Any) -> None:
         """Send state reports."""
-        self.take(Beacon(sender, (Report(neighbour, seqno, count),), fault))
+        self.take(Beacon(sender, (Report(neighbour, seqno, count, earlier),), fault))
 
     # -- VarDis ----------------------------------------------------------------------------------------------
 
@@ -433,12 +447,13 @@ class NodeMachine(RuleBasedStateMachine):
         number=VARIABLES,
         size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
         times=st.sampled_from((1,) * 12 + (2,) * 6 + (260,)),
+        again=_AGAIN,
     )
-    def update(self, number: int, size: int | str, times: int) -> None:
+    def update(self, number: int, size: int | str, times: int, again: bool) -> None:
         """Update a variable."""
-        self.take(
-            Call("RTDB-Update", {"varId": self._variable(number), "value": self._limit(size, "VALUE_LENGTH")}, times)
-        )
+        params = {"varId": self._variable(number), "value": self._limit(size, "VALUE_LENGTH")}
+        params |= {AGAIN: True} if again else {}
+        self.take(Call("RTDB-Update", params, times))
 
     @action(lambda self: self._vardis, number=VARIABLES)
     def delete(self, number: int) -> None:

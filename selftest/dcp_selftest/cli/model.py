@@ -104,6 +104,8 @@ def _draw(file: Path, profile: str, *, sequences: int, seed: int, most: int) -> 
 
     config, before = reference_config(get_codec(profile)), corpus()
     found = drawn(lambda: VirtualExecutor(config), before, seed=seed, sequences=sequences, most=most)
-    write_file(file, msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+    # A line for each sequence, so that a change of the file can be read.
+    lines = b",\n".join(msgspec.json.encode(each) for each in found.sequences)
+    write_file(file, b'{"seeds": %b, "sequences": [\n%b\n]}\n' % (msgspec.json.encode(found.seeds), lines))
     say(f"{len(before.sequences)} sequences before, {len(found.sequences)} now: {file}")
     return 0

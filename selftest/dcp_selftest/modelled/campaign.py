@@ -45,6 +45,8 @@ def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Search
         except Counterexample as found:
             seconds = time.process_time() - began
             return Searched(fault, "run", found.finding.requirements, sequences=number, seconds=seconds)
+    if not sequences:
+        return Searched(fault, "", seconds=time.process_time() - began)
     result = search(lambda: VirtualExecutor(config, make=make), sequences=sequences, steps=10, seed=seed, shrink=shrink)
     seconds = time.process_time() - began
     gc.collect()
