@@ -37,6 +37,8 @@ _FLAWS: Final = {
     "VD-PC-03": "own", "VD-PC-04": "bad value", "VD-PC-05": "bad description", "VD-PC-06": "bad repCnt",
 }  # fmt: skip
 _TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
+#: Number of payloads without the summary of a variable that show that it is in no queue.
+_ABSENT: Final = 3
 _STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
 _SITUATIONS: Final = tuple(Situation(state, own) for state in _STATES for own in (False, True))
 
@@ -81,6 +83,8 @@ class VardisModel(Oracle):
         self.mine: set[int] = set()
         self.why: dict[int, tuple[str, ...]] = {}
         """By variable: the requirements that decide its state after the last event."""
+        self._absent: dict[int, int] = {}
+        """By variable: the number of payloads in a row with room for its summary and without it."""
         self._due: dict[tuple[ICType, int], Due] = {}
         """By kind and variable."""
         self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
@@ -411,6 +415,7 @@ class VardisModel(Oracle):
         if not self._lossy:
             yield from self._ordered(groups, since, owed)
             yield from self._missing(groups, octets, since)
+            yield from self._unsummarised(groups.get(_SUMMARIES, ()), octets, since)
         for kind, record in records:
             key = kind, _var_id(record)
             if due := self._due.get(key):
@@ -495,6 +500,35 @@ class VardisModel(Oracle):
             yield Finding(which, f"{kind.label} of variable {var_id} in this payload, which has room", "none")
             return
 
+    def _unsummarised(self, there: Sequence[VardisRecord], octets: int, since: int) -> Iterator[Finding]:
+        """Yield a finding for a variable that several payloads with room for its summary lack."""
+        free = min(self.room.most, self.room.registered) - octets
+        if any(changed >= since for changed, _, _ in self.room.former):
+            return
+        # Variables that were deleted may take a place in one payload.
+        full = len(there) >= self.room.summaries or self._needs(_SUMMARIES) + self.room.header > free
+        ids = {_var_id(each) for each in there}
+        for var_id in self.mine:
+            variable = self.variables.get(var_id)
+            now = None if variable is None else variable.now
+            if variable is None or now is None or full or var_id in ids or now.state != "alive":
+                self._absent.pop(var_id, None)
+            elif self._alive_since(variable, since - self.late):
+                self._absent[var_id] = self._absent.get(var_id, 0) + 1
+                if self._absent[var_id] == _ABSENT:
+                    yield self._without_summary(var_id, f"none in {_ABSENT} payloads")
+                    return
+
+    @staticmethod
+    def _alive_since(variable: Variable, time: int) -> bool:
+        """Return whether a variable without a timeout surely existed before ``time``, and did not change since then."""
+        alive = variable.now.state == "alive" and not variable.uncertain and variable.due == NEVER
+        return alive and max(variable.now.since, variable.settled) < time
+
+    def _without_summary(self, var_id: int, observed: str) -> Finding:
+        which = "VD-CRE-12" if self._own(self.variables[var_id].now) else "VD-PC-09"
+        return Finding((which, "VD-CMP-03"), f"a summary of variable {var_id}", observed)
+
     def silent(self, time: int) -> Iterator[Finding]:
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""
         if self._lossy or not self.active:
@@ -502,6 +536,15 @@ class VardisModel(Oracle):
         for each in self.overdue(time):
             if each.var_id in self.mine:
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
+                return
+        former = self.room.former[-1][0] if self.room.former else 0
+        fits = self._needs(_SUMMARIES) + self.room.header <= min(self.room.most, self.room.registered)
+        if not fits or not self.room.summaries or former > time - self._window or self.switched > time - self._window:
+            return
+        for var_id in self.mine:
+            variable = self.variables.get(var_id)
+            if variable is not None and self._alive_since(variable, time - self._window):
+                yield self._without_summary(var_id, "no payload")
                 return
 
     @property

@@ -177,6 +177,8 @@ class SRPModel:
         if not mine:
             return
         this = mine[-1]
+        if len(mine) > 1 and not self._once:
+            return
         if len(mine) > 1:
             # Of several submissions of the same data, the sequence number shows which it is.
             before = next((each for each in reversed(self.handed) if each.seqno is not None), None)

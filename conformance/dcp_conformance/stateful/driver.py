@@ -134,13 +134,16 @@ class Driver:
 
     def finish(self) -> None:
         """Wait until everything has shown, and query the whole state."""
-        self.steps.append(Wait(4))
+        timing = self.executor.timing
+        # Where time costs nothing, also wait for what has no payload to be in.
+        periods = timing.patience // timing.period + 4 if timing.whole else 4
+        self.steps.append(Wait(periods))
         self._row = ["", ""]
         try:
-            self._wait(4 * self.executor.timing.period)
+            self._wait(periods * timing.period)
             self._look_around()
         finally:
-            self.rows.append(Row("wait 4 periods", *self._row))
+            self.rows.append(Row(f"wait {periods} periods", *self._row))
         self.steps.pop()
 
     def _fail(self, finding: Finding) -> None:

@@ -87,7 +87,7 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 _FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
-_AGAIN: Final = st.sampled_from((False,) * 5 + (True,))
+_AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
 RECORDS: Final = (
@@ -157,13 +157,19 @@ class NodeMachine(RuleBasedStateMachine):
         self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
 
-    @initialize(theme=st.sampled_from(_CHOSEN), beginning=st.sampled_from(_BEGINNINGS))
-    def about(self, theme: str, beginning: tuple[str, bool, bool]) -> None:
-        """Choose what the sequence is about."""
+    @initialize(
+        theme=st.sampled_from(_CHOSEN),
+        beginning=st.sampled_from(_BEGINNINGS),
+        registration=st.none() | st.fixed_dictionaries(REGISTRATION),
+    )
+    def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any] | None) -> None:
+        """Choose what the sequence is about, and begin."""
         self.title = theme
         self.theme = THEMES[theme] or tuple(ACTIONS)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
+        elif "register" in self.theme and self.has("BP-RegisterProtocol") and registration is not None:
+            self.register(**registration)
 
     def _begin(self, creator: str, deleted: bool, later: bool) -> None:
         """Bring the variable of the sequence into a state."""
@@ -309,7 +315,7 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call(f"BP-MGMT-{'Deactivate' if on else 'Activate'}"))
 
     @action(
-        lambda self: self.registered,
+        lambda self: self.has("BP-RegisterProtocol"),
         sender=NEIGHBOURS,
         number=PROTOCOLS,
         size=st.sampled_from((4, 1, 20, 0)),
@@ -318,8 +324,9 @@ class NodeMachine(RuleBasedStateMachine):
         fault=_FAULTS,
     )
     def payload(self, sender: int, number: int, size: int, count: int, again: bool, fault: Any) -> None:
-        """Send payloads to a client protocol."""
-        self.take(Beacon(sender, (Client(number, size, count, again),), fault))
+        """Send payloads to a client protocol, several times in faulty beacons."""
+        for _ in range(4 if fault else 1):
+            self.take(Beacon(sender, (Client(number, size, count, again),), fault))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
