@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from dcp_conformance.fuzz.findings.artefact import load, save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
+from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.stateful.corpus import corpus
 from dcp_conformance.stateful.driver import Counterexample, Driver
@@ -127,3 +128,24 @@ def test_a_dead_node_is_named() -> None:
     found = judged(Beacon(0, (Records("summary", 0),)), make=with_bp(handle_beacon=handle_beacon))
     assert "BP-RX-16" in found
     assert InProcess(CONFIG).alive()
+
+
+@pytest.mark.req("VD-PD-04")
+def test_the_number_of_a_deleted_variable_is_unknown_after_a_disputed_update() -> None:
+    create = Records("create", 0, creation=1)
+    opposite, delete = Records("update", 0, seqno=128), Records("delete", 0)
+    assert judged(Beacon(0, (create,)), Beacon(0, (opposite,)), Beacon(0, (delete,)), Wait(5)) == ()
+
+
+@pytest.mark.req("BP-QM-07")
+@pytest.mark.parametrize(("several", "allowed"), [(True, range(21)), (False, range(18, 21))])
+def test_a_beacon_on_its_way_may_have_all_payloads_of_a_client(several: bool, allowed: range) -> None:
+    for number in range(22):
+        model = Driver(VirtualExecutor(CONFIG, timing=Timing(period=20 * MS, flight=15 * MS))).model.bp
+        params = registering(30).params | {"allowMultiplePayloads": several, "name": "x"}
+        confirms = [("BP-RegisterProtocol", params)]
+        confirms += [("BP-TransmitPayload", {"protId": 0, "payload": f"{each:04}"}) for each in range(20)]
+        confirms.append(("BP-QueryNumberBufferedPayloads", {"protId": 0}))
+        result = {"status": "BP-STATUS-OK", "number": number}
+        found = [each for method, params in confirms for each in model.confirmed(method, params, result, 1)]
+        assert bool(found) is (number not in allowed)

@@ -14,14 +14,17 @@ from typing import Any, Final
 import msgspec
 from dcp_spec.constants import Features, QueueingMode, SpecVersion
 
-from .judgement import Expected, Finding, Timing, either
+from .judgement import MS, Expected, Finding, Timing, either
 
 Octets = tuple[bytes, ...]
 #: Contents of a queue, oldest first, and payloads in beacons that were not received yet, with the times of generation.
 Content = tuple[Octets, Octets]
 #: Maximum number of possible contents of a queue; with more, they are unknown.
 _MOST: Final = 64
+#: Maximum number of payloads of a client in beacons that were not received yet, if a beacon has one of them.
 _FLYING: Final = 2
+#: Number of intervals of beacons whose mean is judged.
+_INTERVALS: Final = 20
 _MODES: Final = {each.value for each in QueueingMode}
 _Q = QueueingMode
 
@@ -106,6 +109,11 @@ class BPModel:
         """Registration times that the list has shown, by identifier."""
         self._stamped: dict[int, int] = {}
         self.period = timing.period
+        """The longest beacon period so far, ns."""
+        self._interval = timing.period
+        self._paced: list[int] = []
+        """Times of beacons with the present period, ns."""
+        self._pace_from = -(1 << 62)
         self.deliveries: list[Delivery] = []
         self._seqno: int | None = None
         self.beacons = 0
@@ -325,6 +333,25 @@ class BPModel:
 
     # -- parameters --------------------------------------------------------------------------------------------
 
+    def set_period(self, period: int, time: int) -> None:
+        """Record a new BPPAR_BEACON_PERIOD in ns. The interval that has begun may be of the former length."""
+        self._paced.clear()
+        self._pace_from = time + 3 * max(self.period, period) + self.timing.flight
+        self.period, self._interval = max(self.period, period), period
+
+    def _too_fast(self, time: int) -> Iterator[Finding]:
+        """Judge the mean interval of beacons; single ones vary, and a beacon may be left out."""
+        if time < self._pace_from or not self.active:
+            return
+        self._paced.append(time)
+        if len(self._paced) <= _INTERVALS:
+            return
+        mean = (time - self._paced[0]) / _INTERVALS
+        self._paced.clear()
+        if mean + 2 * self.timing.flight / _INTERVALS < 0.6 * self._interval:
+            expected = f"a beacon every {self._interval / MS:g} ms on average"
+            yield Finding(("BP-PAR-02", "BP-TX-01"), expected, f"every {mean / MS:.1f} ms")
+
     def resized(self, packet: int, time: int) -> None:
         """Record a new BPPAR_MAXIMUM_PACKET_SIZE."""
         self._settle(time)
@@ -346,11 +373,13 @@ class BPModel:
                 continue
             more = set(client.possible)
             edge = list(client.possible)
-            for _ in range(_FLYING):
+            # Where a beacon may have several payloads of a client, it may have them all.
+            most = _MOST if client.several and client.mode.is_queue else _FLYING
+            while edge and len(more) <= _MOST:
                 edge = [
                     (queue if client.mode is _Q.REPEAT else queue[1:], (*flying, queue[0]))
                     for queue, flying in edge
-                    if queue and len(flying) < _FLYING
+                    if queue and len(flying) < most
                 ]
                 more.update(edge)
             client.possible = more if len(more) <= _MOST else None
@@ -360,6 +389,7 @@ class BPModel:
         flight = self.timing.flight
         self.beacons += 1
         yield from self._numbered(seqno)
+        yield from self._too_fast(time)
         if not self.active and time - self.switched > flight:
             yield Finding(("BP-MGT-02", "BP-TX-07"), "no beacon while BP is inactive", f"a beacon of {size} octets")
         since = [value for begun, value in self._packets if begun <= time]
@@ -498,8 +528,8 @@ class BPModel:
             never = forbidden
             if not never and not self.active:
                 never = ("BP-RX-13", "BP-MGT-03")
-            if not never and client is None and prot_id in self._gone:
-                never = ("BP-DRG-04",)
+            if not never and client is None:
+                never = ("BP-DRG-04", "BP-RX-08") if prot_id in self._gone else ("BP-RX-08",)
             # X46, X49: empty blocks, and blocks larger than registered, may be ignored.
             must = not never and client is not None and 0 < len(octets) <= client.most and not self.timing.lossy
             self.deliveries.append(Delivery(prot_id, octets, time, must, never))

@@ -6,13 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, Literal
 
 import msgspec
-from dcp_spec.constants import Features, ICType
+from dcp_spec.constants import Features, ICType, SpecVersion
 
 from dcp_codec.values import Container, VarCreate, VardisRecord, VarSpec
 
 from .judgement import Expected, Finding
 from .knowledge import NEVER, Limits, Obligation, State, Variable, Version
+from .model import TAUGHT, processing_order
 from .queues import Order
+from .repetitions import IN_FLIGHT
 from .services import OK, Situation, expected
 from .vardis import Oracle
 
@@ -24,13 +26,31 @@ _ROTATION: Final = {
     _CREATES: "VD-CMP-06", _DELETES: "VD-CMP-10", _UPDATES: "VD-CMP-09", _SUMMARIES: "VD-CMP-03",
     _CREATE_REQUESTS: "VD-PAY-06", _UPDATE_REQUESTS: "VD-PAY-06",
 }  # fmt: skip
+#: Instructions that are sent several times.
+_ROTATED: Final = frozenset({_CREATES, _DELETES, _UPDATES})
 #: By kind of a record that has not changed a variable: the requirements.
 _IGNORED: Final = {
     _CREATES: ("VD-PC-01", "VD-PC-04"), _DELETES: ("VD-PD-01", "VD-PD-03"), _UPDATES: ("VD-PU-05", "VD-PU-03"),
 }  # fmt: skip
+#: By the requirement that refuses a VarCreate: its flaw.
+_FLAWS: Final = {
+    "VD-PC-03": "own", "VD-PC-04": "bad value", "VD-PC-05": "bad description", "VD-PC-06": "bad repCnt",
+}  # fmt: skip
 _TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
+#: Number of payloads without the summary of a variable that show that it is in no queue.
+_ABSENT: Final = 3
 _STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
 _SITUATIONS: Final = tuple(Situation(state, own) for state in _STATES for own in (False, True))
+
+
+class Due(msgspec.Struct):
+    """An instruction in its queue. Each payload with room must contain it until it has been sent often enough."""
+
+    left: int
+    """Number of payloads that must still contain it."""
+    time: int
+    """When it was queued, ns."""
+    requirement: str
 
 
 class Room:
@@ -63,7 +83,11 @@ class VardisModel(Oracle):
         self.mine: set[int] = set()
         self.why: dict[int, tuple[str, ...]] = {}
         """By variable: the requirements that decide its state after the last event."""
-        self._order = Order()
+        self._absent: dict[int, int] = {}
+        """By variable: the number of payloads in a row with room for its summary and without it."""
+        self._due: dict[tuple[ICType, int], Due] = {}
+        """By kind and variable."""
+        self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
         self._longest = (limits.max_value_length, limits.max_description_length)
         self._passed: dict[int, int] = {}
         """Variables of others whose timeout has passed, with the time at which a scrubbing node has deleted them."""
@@ -81,9 +105,10 @@ class VardisModel(Oracle):
         ids = {_var_id(record) for record in records}
         before = {var_id: self._variable(var_id).now for var_id in ids}
         self._order.next_event()
-        self._order.together = True
-        super().hear(records, time, frame)
-        self._order.together = False
+        for position, each in enumerate(sorted(records, key=processing_order)):
+            self._order.next_record(each.IC_TYPE, position)
+            super().hear((each,), time, frame)
+        self._order.next_record(None)
         for record in records:
             var_id, kind = _var_id(record), record.IC_TYPE
             if kind in _TAKEN and not self._variable(var_id).uncertain:
@@ -94,16 +119,24 @@ class VardisModel(Oracle):
                 self.doubt(var_id)
 
     def _receive_create(self, record: VarCreate, variable: Variable, time: int, frame: int) -> None:
-        before = variable.now
+        before, new = variable.now, self._is_new(variable)
         super()._receive_create(record, variable, time, frame)
         if variable.now is not before:
-            self._renewed(record.spec.var_id, time, "VD-PC-09")
+            self._queued(record.spec.var_id, time, "VD-PC-09", new=new)
 
-    def _renewed(self, var_id: int, time: int, requirement: str) -> None:
+    @staticmethod
+    def _is_new(variable: Variable) -> bool:
+        """Return whether the node surely has nothing of a variable in its queues."""
+        return not variable.uncertain and variable.now.state == "unknown"
+
+    def _queued(self, var_id: int, time: int, requirement: str, *, new: bool) -> None:
+        """Record that a creation puts a variable into createQ and summaryQ."""
         self._passed.pop(var_id, None)
         self._order.remove(var_id)
-        self._order.append(_SUMMARIES, var_id, time, requirement, waiting=False)
-        self._order.append(_CREATES, var_id, time, requirement, waiting=False)
+        # 1.0 does not remove the variable from these queues first.
+        waiting = not new and self._features.version < SpecVersion.V1_1
+        for kind in (_SUMMARIES, _CREATES):
+            self._order.append(kind, var_id, time, requirement, waiting=waiting, renewed=not new)
 
     def _oblige(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
         waiting = kind in (_UPDATES, _CREATES) or any(each.kind is kind for each in self._owed.get(var_id, ()))
@@ -111,15 +144,38 @@ class VardisModel(Oracle):
         if requirement not in ("VD-PC-09", "VD-CRE-12"):
             self._order.append(kind, var_id, time, requirement, waiting=waiting)
 
+        spec = self.variables[var_id].now.spec
+        before = self._due.get((kind, var_id))
+        if kind in _ROTATED and requirement not in TAUGHT and spec is not None:
+            self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement)
+        elif before is None:
+            # Sent once for certain: it may have been in its queue already.
+            self._due[kind, var_id] = Due(1, time, requirement)
+
+    def _surely_queued(self, kind: ICType, var_id: int) -> bool:
+        due = self._due.get((kind, var_id))
+        return due is not None and due.left > IN_FLIGHT and not self._lossy
+
+    def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
+        super()._settle(kind, var_id, seqno)
+        if seqno is None:
+            self._due.pop((kind, var_id), None)
+
     def _forget(self, var_id: int) -> None:
         super()._forget(var_id)
+        self._remove(var_id)
+
+    def _remove(self, var_id: int) -> None:
+        """Record that a variable is in no queue, or that this is not known."""
         self._order.remove(var_id)
+        for kind in ICType:
+            self._due.pop((kind, var_id), None)
 
     def _lose(self, variable: Variable) -> None:
         super()._lose(variable)
         for var_id, each in self.variables.items():
             if each is variable:
-                self._order.remove(var_id)
+                self._remove(var_id)
 
     def _fade(self, variable: Variable, var_id: int, time: int) -> None:
         """Process a timeout: only a node that scrubs the variables of others deletes them (X26)."""
@@ -176,9 +232,10 @@ class VardisModel(Oracle):
 
     def created_by_application(self, spec: VarSpec, value: bytes, time: int) -> None:
         """Process an RTDB-Create with status OK; see :meth:`~.model.Model.created`."""
-        again = self._variable(spec.var_id).now.state != "unknown"
+        variable = self._variable(spec.var_id)
+        again, new = variable.now.state != "unknown", self._is_new(variable)
         self.created(spec, value, time)
-        self._renewed(spec.var_id, time, "VD-CRE-12")
+        self._queued(spec.var_id, time, "VD-CRE-12", new=new)
         self.why[spec.var_id] = ("VD-CRE-11", "VD-CRE-03") if again else ("VD-CRE-10", "VD-CRE-12")
 
     def _switch(self, active: bool, time: int) -> None:
@@ -187,6 +244,7 @@ class VardisModel(Oracle):
         self.active, self.switched = active, time
         # X37: what was pending may be dropped; X36: whether time passes for variables with a timeout is open.
         self._owed.clear()
+        self._due.clear()
         self._order.forget()
         for variable in self.variables.values():
             if variable.due != NEVER:
@@ -357,6 +415,13 @@ class VardisModel(Oracle):
         if not self._lossy:
             yield from self._ordered(groups, since, owed)
             yield from self._missing(groups, octets, since)
+            yield from self._unsummarised(groups.get(_SUMMARIES, ()), octets, since)
+        for kind, record in records:
+            key = kind, _var_id(record)
+            if due := self._due.get(key):
+                due.left -= 1
+                if not due.left:
+                    del self._due[key]
 
     def _shown(self, containers: Sequence[Container]) -> int:
         """Return the earliest time of the composition of a payload, given the events that it shows."""
@@ -397,39 +462,72 @@ class VardisModel(Oracle):
                     return version.state == "alive" and variable.due == NEVER and variable.settled < since
                 return any(each.kind is kind and each.time + self.late < since for each in owed.get(var_id, ()))
 
-            for passed, first, place in self._order.payload(kind, ids, since - self.late, queued):
+            for passed, first, place, together in self._order.payload(kind, ids, since - self.late, queued):
                 which = place.requirement if place.appended is not None and place.requirement else _ROTATION[kind]
                 if kind in (_CREATES, _DELETES, _UPDATES) and place.appended is not None:
                     which = "VD-PAY-06"
+                if together:
+                    which = "VD-RX-09"
                 expected = f"{kind.label} of variable {passed}, which was queued before {first}"
                 yield Finding((which, *(("VD-CMP-03",) if kind is _SUMMARIES and which != "VD-CMP-03" else ())),
                               expected, f"that of {first} first")  # fmt: skip
                 self._order.forget()
                 break
-            self._order.sent(kind, ids)
+            self._order.sent(kind, ids, since)
 
     def _missing(self, groups: Mapping[ICType, list[VardisRecord]], octets: int, since: int) -> Iterator[Finding]:
-        """Yield a finding for a record that must be in this payload: it was queued before, and there is room for it."""
+        """Yield a finding for a record that must be in this payload: it was queued before, and any record would fit."""
         free = min(self.room.most, self.room.registered) - octets
         if any(changed >= since for changed, _, _ in self.room.former):
             return
-        for var_id in list(self._owed):
-            variable = self.variables.get(var_id)
-            if var_id not in self.mine or variable is None or variable.uncertain or variable.due != NEVER:
+        for (kind, var_id), due in self._due.items():
+            variable, there = self.variables[var_id], groups.get(kind, ())
+            if var_id not in self.mine or variable.uncertain or variable.due != NEVER:
                 continue
-            for each in self._owed.get(var_id, []):
-                # The head of createQ or updateQ may have a size that the model does not know, and hold up the others.
-                if each.kind in (_CREATES, _UPDATES):
-                    continue
-                there = groups.get(each.kind, ())
-                if each.time + self.late >= since or len(there) >= 255:
-                    continue
-                if variable.settled + self.late >= since or self._needs(each.kind) + self.room.header > free:
-                    continue
-                self._owed[var_id] = [other for other in self._owed[var_id] if other is not each]
-                which = ("VD-PAY-02", each.requirement) if there else (each.requirement, "VD-CMP-13")
-                yield Finding(which, f"{each.kind.label} of variable {var_id} in this payload, which has room", "none")
-                return
+            if any(_var_id(each) == var_id for each in there) or len(there) >= 255:
+                continue
+            if max(due.time, variable.settled) + self.late >= since or self._needs(kind) + self.room.header > free:
+                continue
+            if kind in (_CREATES, _UPDATES) and not self._features.receive_checks_too_long:
+                # The head of the queue may have any size, and hold up the others.
+                continue
+            del self._due[kind, var_id]
+            spec = variable.now.spec
+            if kind in _ROTATED and spec is not None and due.left < spec.rep_cnt:
+                which = (due.requirement, _ROTATION[kind])
+            else:
+                which = ("VD-PAY-02", due.requirement) if there else (due.requirement, "VD-CMP-13")
+            yield Finding(which, f"{kind.label} of variable {var_id} in this payload, which has room", "none")
+            return
+
+    def _unsummarised(self, there: Sequence[VardisRecord], octets: int, since: int) -> Iterator[Finding]:
+        """Yield a finding for a variable that several payloads with room for its summary lack."""
+        free = min(self.room.most, self.room.registered) - octets
+        if any(changed >= since for changed, _, _ in self.room.former):
+            return
+        # Variables that were deleted may take a place in one payload.
+        full = len(there) >= self.room.summaries or self._needs(_SUMMARIES) + self.room.header > free
+        ids = {_var_id(each) for each in there}
+        for var_id in self.mine:
+            variable = self.variables.get(var_id)
+            now = None if variable is None else variable.now
+            if variable is None or now is None or full or var_id in ids or now.state != "alive":
+                self._absent.pop(var_id, None)
+            elif self._alive_since(variable, since - self.late):
+                self._absent[var_id] = self._absent.get(var_id, 0) + 1
+                if self._absent[var_id] == _ABSENT:
+                    yield self._without_summary(var_id, f"none in {_ABSENT} payloads")
+                    return
+
+    @staticmethod
+    def _alive_since(variable: Variable, time: int) -> bool:
+        """Return whether a variable without a timeout surely existed before ``time``, and did not change since then."""
+        alive = variable.now.state == "alive" and not variable.uncertain and variable.due == NEVER
+        return alive and max(variable.now.since, variable.settled) < time
+
+    def _without_summary(self, var_id: int, observed: str) -> Finding:
+        which = "VD-CRE-12" if self._own(self.variables[var_id].now) else "VD-PC-09"
+        return Finding((which, "VD-CMP-03"), f"a summary of variable {var_id}", observed)
 
     def silent(self, time: int) -> Iterator[Finding]:
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""
@@ -438,6 +536,15 @@ class VardisModel(Oracle):
         for each in self.overdue(time):
             if each.var_id in self.mine:
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
+                return
+        former = self.room.former[-1][0] if self.room.former else 0
+        fits = self._needs(_SUMMARIES) + self.room.header <= min(self.room.most, self.room.registered)
+        if not fits or not self.room.summaries or former > time - self._window or self.switched > time - self._window:
+            return
+        for var_id in self.mine:
+            variable = self.variables.get(var_id)
+            if variable is not None and self._alive_since(variable, time - self._window):
+                yield self._without_summary(var_id, "no payload")
                 return
 
     @property
@@ -472,6 +579,23 @@ class VardisModel(Oracle):
             if variable.due != NEVER:
                 name += ", with timeout"
         return name if self.active else f"{name}; VarDis inactive"
+
+    def event_of(self, kind: str, record: VardisRecord) -> str:
+        """A name of what a record says compared with what the node holds, for statistics. ``kind`` begins it."""
+        variable = self.variables.get(_var_id(record)) or Variable()
+        words = [kind]
+        if isinstance(record, VarCreate):
+            flaw = _FLAWS.get(_refusal(record, self.own_id, self._limits)[0], "")
+            later = (record.spec.creation_time or 0) > variable.latest or not self._features.creation_time
+            words += ["later" if later else "not later", flaw]
+        elif (seqno := getattr(record, "seqno", None)) is not None:
+            number = variable.now.seqno
+            newer, older = self._circle.newer(seqno, number), self._circle.newer(number, seqno)
+            words.append("equal" if seqno == number else "newer" if newer else "older" if older else "opposite")
+            value = getattr(record, "value", None)
+            if value is not None and not 0 < len(value) <= self._limits.max_value_length:
+                words.append("bad value")
+        return ", ".join(each for each in words if each)
 
 
 def _refusal(record: VardisRecord, own_id: bytes, limits: Limits) -> tuple[str, ...]:

@@ -12,8 +12,8 @@ producer, or, after the timeout of the variable, the end of the next scrubbing.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from dcp_spec.constants import Features, ICType
 
@@ -43,11 +43,14 @@ _ORDER = {
     for place, each in enumerate((_CREATES, _DELETES, _UPDATES, _SUMMARIES, _UPDATE_REQUESTS, _CREATE_REQUESTS))
 }
 DELETION: Final = (_DELETES, 0)
+#: The requirements by which an older number is answered, unless the answer is queued already.
+TAUGHT: Final = frozenset({"VD-PU-06", "VD-PS-03"})
 #: ns in a millisecond, the unit of timeouts.
 _MS = 1_000_000
 
 
-def _place(record: VardisRecord) -> int:
+def processing_order(record: VardisRecord) -> int:
+    """Return the place of a record in the order in which the records of a payload are processed (VD-RX-08)."""
     return _ORDER[record.IC_TYPE]
 
 
@@ -87,11 +90,11 @@ class Model:
     def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
         """Process the records of a received payload in the order of the specification."""
         variables = self.variables
-        for record in records if len(set(map(type, records))) == 1 else sorted(records, key=_place):
+        for record in records if len(set(map(type, records))) == 1 else sorted(records, key=processing_order):
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             variable = variables.get(var_id) or self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
-                _HEAR[record.IC_TYPE](self, record, variable, time, frame)
+                getattr(self, _HEAR[record.IC_TYPE])(record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
         """Mark a variable as uncertain: the node may or may not have processed a record about it.
@@ -142,7 +145,8 @@ class Model:
             variable.repetitions.clear()
             variable.repetitions.arm(DELETION, self._limits.max_repetitions, time)
             self._forget(record.var_id)
-            self._become(variable, known._replace(since=time, state="deleted"))
+            # Which creation and number is deleted is not known.
+            self._become(variable, Version(time, "deleted", None, 0, b""))
         elif known.state == "alive" and not self._own(known):
             self._forget(record.var_id)
             self._become(variable, known._replace(since=time, state="deleted"))
@@ -159,6 +163,7 @@ class Model:
                 version = Version(time, "alive", known.spec, record.seqno, record.value, own_values(record))
                 self._become(variable, version)
                 self._settle(_UPDATE_REQUESTS, record.var_id)
+                variable.repetitions.drop((_UPDATE_REQUESTS, 0))
                 # Older numbers are not owed any more, also those that seem newer after the number has wrapped.
                 self._settle(_UPDATES, record.var_id)
                 self._arm(_UPDATES, record.var_id, time, frame, "VD-PU-07")
@@ -298,9 +303,16 @@ class Model:
         known = variable.versions[-1]
         spec, seqno = known.spec, known.seqno
         repetitions = spec.rep_cnt if spec is not None else 0
+        if requirement in TAUGHT and self._surely_queued(kind, var_id):
+            return
         variable.repetitions.arm((kind, seqno if kind is _UPDATES else 0), repetitions, time)
         if repetitions > 0:
             self._oblige(kind, var_id, seqno, time, frame, requirement)
+
+    def _surely_queued(self, kind: ICType, var_id: int) -> bool:
+        """Return whether an instruction is surely in its queue, so that an older number does not queue it again."""
+        del kind, var_id
+        return False
 
     def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
         """Allow one more request. It is mandatory unless the variable may be deleted."""
@@ -374,13 +386,13 @@ def _creation(version: Version) -> int:
     return NO_CREATION if version.spec is None else version.spec.creation_time or 0
 
 
-#: Functions of the class: bound methods would make each model refer to itself, and the thousands of models a second in
-#: a fuzzer would live until the garbage collector runs.
-_HEAR: Final[dict[ICType, Callable[[Model, Any, Variable, int, int], None]]] = {
-    _CREATES: Model._receive_create,
-    _DELETES: Model._receive_delete,
-    _UPDATES: Model._receive_update,
-    _SUMMARIES: Model._receive_summary,
-    _UPDATE_REQUESTS: Model._receive_update_request,
-    _CREATE_REQUESTS: Model._receive_create_request,
+#: Names instead of bound methods, which would make each model refer to itself: the thousands of models a second in a
+#: fuzzer would live until the garbage collector runs.
+_HEAR: Final[dict[ICType, str]] = {
+    _CREATES: "_receive_create",
+    _DELETES: "_receive_delete",
+    _UPDATES: "_receive_update",
+    _SUMMARIES: "_receive_summary",
+    _UPDATE_REQUESTS: "_receive_update_request",
+    _CREATE_REQUESTS: "_receive_create_request",
 }

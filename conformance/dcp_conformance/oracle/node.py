@@ -83,6 +83,8 @@ class NodeModel:
         """Last time at which something may have kept a VarDis payload from being sent."""
         self._last = -(1 << 62)
         self._renamed = -(1 << 62)
+        self._created: dict[int, tuple[int, int]] = {}
+        """creationTime of variables of the node, in ticks, with the times at which they were created."""
         self._number = 0
         self._least = -(1 << 62)
 
@@ -240,7 +242,7 @@ class NodeModel:
         else:
             yield from self.bp.confirmed(method, params, result, time)
 
-    def created(self, params: Mapping[str, Any], creation: int | None, time: int) -> None:
+    def created(self, params: Mapping[str, Any], creation: int | None, time: int) -> Iterator[Finding]:
         """Process an RTDB-Create with status OK. ``creation``: creationTime as the node reports it; None if unknown."""
         timed = self._features.creation_time
         var_id = params["varId"]
@@ -248,9 +250,15 @@ class NodeModel:
             var_id, self.own_id, params["repCnt"], params["descr"].encode(),
             (creation or 0) if timed else None, params.get("timeout", 0) if timed else None,
         )  # fmt: skip
+        before = self._created.get(var_id)
         self.vardis.created_by_application(spec, bytes.fromhex(params["value"]), time)
         if timed and creation is None:
             self.vardis.variables[var_id].latest = 1 << 127
+        elif timed and creation is not None:
+            self._created[var_id] = creation, time
+            # The resolution of a clock may be low, but not half a second.
+            if before is not None and creation <= before[0] and time - before[1] > 500 * MS:
+                yield Finding(("VD-CRE-09", "VD-CRE-03"), f"a creationTime after {before[0]}", str(creation))
 
     def _hold(self, time: int) -> None:
         """Record that payloads may have had to wait until now."""
@@ -266,7 +274,7 @@ class NodeModel:
                 self.bp.resized(value, time)
             case "BPPAR_BEACON_PERIOD":
                 self._hold(time)
-                self.bp.period = max(self.bp.period, round(value * MS))
+                self.bp.set_period(round(value * MS), time)
             case "BPPAR_NETWORK_ID":
                 self._renamed = time
             case "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT":

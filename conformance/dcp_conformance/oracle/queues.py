@@ -22,35 +22,56 @@ class Place(NamedTuple):
     payload: int
     """Number of the last received payload at that time, or of the payload that contained it."""
     position: int = 0
-    """Position in the container of that payload."""
+    """Position in the container of that payload, or in the container whose record appended it."""
     requirement: str = ""
+    container: ICType | None = None
+    """Type of the received container whose record appended it; None for a service."""
+    renewed: bool = False
+    """Whether it may have been in the queue before, at another place."""
 
 
 class Order:
     """The places of the entries of the six queues of one node."""
 
-    def __init__(self) -> None:
+    def __init__(self, late: int, *, in_order: bool) -> None:
+        """``late``: longest time from the reception of a payload to its processing, ns.
+
+        ``in_order``: whether the records of a container are processed in their order (VD-RX-09).
+        """
+        self._late = late
+        self._in_order = in_order
         self._places: dict[ICType, dict[int, Place]] = {kind: {} for kind in ICType}
         self._composed: dict[int, int] = {}
         """Earliest time of the composition of each payload, ns."""
         self._payload = 0
         self._count = 0
-        self.together = False
-        """Whether the entries that are appended now have no order among themselves, as records of different types."""
+        self._container: ICType | None = None
+        self._position = 0
 
     def next_event(self) -> None:
         """Begin an event whose entries come after all others."""
         self._count += 1
 
-    def append(self, kind: ICType, var_id: int, time: int, requirement: str, *, waiting: bool) -> None:
-        """Record an event that appends an entry. ``waiting``: it may be in the queue already, and stays where it is."""
-        self._count += not self.together
+    def next_record(self, container: ICType | None, position: int = 0) -> None:
+        """Begin with a record of a received payload; None: with a service."""
+        self._container, self._position = container, position
+
+    def append(
+        self, kind: ICType, var_id: int, time: int, requirement: str, *, waiting: bool, renewed: bool = False
+    ) -> None:
+        """Record an event that appends an entry. ``waiting``: it may be in the queue already, and stays where it is.
+
+        ``renewed``: it may have been there, and was removed.
+        """
+        self._count += self._container is None
         places = self._places[kind]
         if waiting:
             # Whether it was still there is not known.
             places.pop(var_id, None)
             return
-        places[var_id] = Place(time, self._count, self._payload, requirement=requirement)
+        places[var_id] = Place(
+            time, self._count, self._payload, self._position, requirement, self._container, renewed
+        )  # fmt: skip
 
     def remove(self, var_id: int, *kinds: ICType) -> None:
         """Record that an entry has left these queues, or all."""
@@ -64,8 +85,10 @@ class Order:
 
     def payload(
         self, kind: ICType, var_ids: Sequence[int], since: int, queued: Callable[[int, int], bool]
-    ) -> Iterator[tuple[int, int, Place]]:
+    ) -> Iterator[tuple[int, int, Place, bool]]:
         """Yield (entry that was passed over, entry that came before it, place of the latter) of a container.
+
+        The fourth value is whether records of one container appended both.
 
         ``since``: earliest time of the composition. ``queued`` returns whether an entry was surely queued, given its
         identifier and that time.
@@ -74,21 +97,25 @@ class Order:
         there = {var_id: place for place, var_id in enumerate(var_ids)}
         for var_id, position in there.items():
             mine = places.get(var_id)
-            if mine is None:
+            if mine is None or (mine.renewed and mine.appended is not None and mine.appended >= since):
+                # The payload may have been composed before the entry left its former place.
                 continue
             for other, place in places.items():
                 if other == var_id or there.get(other, 1 << 30) < position or not self._ahead(place, mine):
                     continue
                 if queued(other, since):
-                    yield other, var_id, mine
+                    yield other, var_id, mine, mine.container is not None and place.event == mine.event
                     break
 
-    def sent(self, kind: ICType, var_ids: Sequence[int]) -> None:
-        """Record that the entries of a container were put at the tail again, or removed."""
+    def sent(self, kind: ICType, var_ids: Sequence[int], since: int) -> None:
+        """Record that the entries of a container composed at ``since`` or later were put at the tail, or removed."""
         places = self._places[kind]
         for position, var_id in enumerate(var_ids):
             self._count += 1
-            places[var_id] = Place(None, self._count, self._payload, position)
+            before = places.pop(var_id, None)
+            if before is None or not before.renewed or (before.appended or since) + self._late < since:
+                places[var_id] = Place(None, self._count, self._payload, position)
+            # Otherwise the payload may have been composed before the entry was appended.
 
     def next_payload(self, since: int) -> None:
         """Count a received payload that was composed at ``since`` (ns) or later."""
@@ -98,10 +125,16 @@ class Order:
     def _ahead(self, one: Place, other: Place) -> bool:
         """Return whether ``one`` is surely nearer to the head than ``other``."""
         if one.appended is not None and other.appended is not None:
-            return one.event < other.event
+            if one.event == other.event:
+                # Records of different types are processed in an order that is not known in all versions.
+                same = one.container is other.container and one.container is not None and self._in_order
+                return same and one.position < other.position
+            # A payload may be processed after a later call of a service.
+            same = (one.container is None) is (other.container is None)
+            return one.event < other.event and (same or one.appended + self._late < other.appended)
         if one.appended is None and other.appended is None:
             return (one.payload, one.position) < (other.payload, other.position)
         if one.appended is None:
             # The other was appended after the payload of this one was received.
             return one.payload <= other.payload
-        return one.appended < self._composed.get(other.payload, -1)
+        return one.appended + self._late < self._composed.get(other.payload, -1)

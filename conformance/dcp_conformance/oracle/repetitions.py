@@ -53,6 +53,12 @@ class Repetitions(dict[Key, _Instruction]):
         one.allowed = (one.allowed if one.allowed < flying else flying) + times
         one.since, one.behind = time, 0
 
+    def drop(self, key: Key) -> None:
+        """Record that the instruction left its queue: no further beacon may contain it."""
+        one = self.get(key)
+        if one is not None:
+            one.allowed = min(one.allowed, one.counted)
+
     def allowed(self, key: Key) -> int:
         """Return the number of beacons that may contain the instruction; 0 without a cause."""
         one = self.get(key)

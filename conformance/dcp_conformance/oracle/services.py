@@ -87,25 +87,26 @@ def _creating(one: Situation, params: Mapping[str, Any], limits: Limits, feature
         # X20: by the description, a living variable cannot be created again.
         checks = [Expected(each.status, "VD-CRE-03" if each.status == OK else each.requirement) for each in checks]
         return [*checks, taken._replace(requirement="X20")] if one.state == "alive" else checks
-    return [taken, *([Expected(OK, "X20")] if one.state == "deleted" else [])]
+    # X20: by the description, a deleted variable of another node can be created again.
+    return [taken, *(each._replace(requirement="X20") for each in checks if one.state == "deleted")]
 
 
 def _checks(params: Mapping[str, Any], limits: Limits, features: Features) -> list[Expected]:
-    """Return the result of the checks of the parameters of RTDB-Create (VD-CRE-13)."""
+    """Return the possible results of the checks of the parameters of RTDB-Create (VD-CRE-13)."""
     described, length = len(params["descr"].encode()), len(params["value"]) // 2
-    most = limits.max_description_length
-    if described > most:
-        return [Expected(f"{_P}VARIABLE-DESCRIPTION-TOO-LONG", "VD-CRE-04")]
+    too_long = f"{_P}VARIABLE-DESCRIPTION-TOO-LONG"
+    if described > limits.max_description_length:
+        return [Expected(too_long, "VD-CRE-04")]
     if length > limits.max_value_length:
-        return [Expected(f"{_P}VALUE-TOO-LONG", "VD-CRE-05")]
-    if not length:
-        return [Expected(_empty(features), "VD-CRE-06")]
-    if not 0 < params["repCnt"] <= limits.max_repetitions:
-        return [Expected(f"{_P}ILLEGAL-REPCOUNT", "VD-CRE-07")]
-    if not described:
-        # X21
-        return [Expected(OK, "VD-CRE-15"), Expected(f"{_P}VARIABLE-DESCRIPTION-TOO-LONG", "VD-CRE-15")]
-    return [Expected(OK, "VD-CRE-12")]
+        found = Expected(f"{_P}VALUE-TOO-LONG", "VD-CRE-05")
+    elif not length:
+        found = Expected(_empty(features), "VD-CRE-06")
+    elif not 0 < params["repCnt"] <= limits.max_repetitions:
+        found = Expected(f"{_P}ILLEGAL-REPCOUNT", "VD-CRE-07")
+    else:
+        found = Expected(OK, "VD-CRE-12" if described else "VD-CRE-15")
+    # X21: an implementation may refuse an empty description, before or after the other checks.
+    return [found] if described else [found, Expected(too_long, "VD-CRE-15")]
 
 
 def _empty(features: Features) -> str:

@@ -177,6 +177,20 @@ class SRPModel:
         if not mine:
             return
         this = mine[-1]
+        if len(mine) > 1 and not self._once:
+            return
+        if len(mine) > 1:
+            # Of several submissions of the same data, the sequence number shows which it is.
+            before = next((each for each in reversed(self.handed) if each.seqno is not None), None)
+            if before is None or before.seqno is None:
+                return
+            if before.seqno == report.seqno and before in mine and this.time < time - self.timing.flight:
+                yield Finding(("SRP-TYP-06", "SRP-SEQ-01"), f"another number than {before.seqno}", str(report.seqno))
+                return
+            number = before.number + (report.seqno - before.seqno) % (1 << 32)
+            if number not in {each.number for each in mine}:
+                return
+            this = self.handed[number]
         newest = [each for each in self.handed if each.number > this.number]
         if any(time - each.time > self.timing.flight for each in newest):
             yield Finding(

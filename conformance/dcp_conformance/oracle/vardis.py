@@ -210,10 +210,12 @@ class Oracle(Model):
             yield Complaint("VD-PS-02", var_id, f"no request for variable {var_id}", observed, frame)
             return
         if kind is _UPDATE_REQUESTS and seqno not in {version.seqno for version in fitting}:
-            shown = " or ".join(str(version.seqno) for version in fitting)
+            numbers = " or ".join(str(version.seqno) for version in fitting)
             observed = f"{kind.label} with {seqno}"
-            yield Complaint("VD-PS-04", var_id, f"the own number {shown} in a request", observed, frame)
-        if len(versions) == 1 and versions[0] is variable.versions[-1]:
+            yield Complaint("VD-PS-04", var_id, f"the own number {numbers} in a request", observed, frame)
+        # The number of a request for an update shows the version with which it was composed.
+        shown = [each for each in fitting if each.seqno == seqno] if kind is _UPDATE_REQUESTS else versions
+        if len(shown) == 1 and shown[0] is variable.versions[-1]:
             sent, reasons = variable.repetitions.count((kind, 0))
             if sent > reasons:
                 expected = f"{kind.label} of variable {var_id} once for each reason to ask"

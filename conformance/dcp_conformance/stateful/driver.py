@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any, Final
 
 import msgspec
@@ -29,7 +30,7 @@ from dcp_conformance.oracle.node import NodeModel
 from dcp_conformance.upper_tester import Answer
 
 from .executor import Event, Executor
-from .steps import FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
+from .steps import AGAIN, FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
 
 #: Services whose octets are given as sizes.
 _SIZED: Final = ("payload", "value")
@@ -133,13 +134,16 @@ class Driver:
 
     def finish(self) -> None:
         """Wait until everything has shown, and query the whole state."""
-        self.steps.append(Wait(4))
+        timing = self.executor.timing
+        # Where time costs nothing, also wait for what has no payload to be in.
+        periods = timing.patience // timing.period + 4 if timing.whole else 4
+        self.steps.append(Wait(periods))
         self._row = ["", ""]
         try:
-            self._wait(4 * self.executor.timing.period)
+            self._wait(periods * timing.period)
             self._look_around()
         finally:
-            self.rows.append(Row("wait 4 periods", *self._row))
+            self.rows.append(Row(f"wait {periods} periods", *self._row))
         self.steps.pop()
 
     def _fail(self, finding: Finding) -> None:
@@ -199,8 +203,9 @@ class Driver:
         executor, model = self.executor, self.model
         for event in executor.wait(0):
             self._take(event)
-        self._count(self._state(method, params), method)
         expected = model.expect(method, params, executor.now())
+        refused = expected and not any(each.status.endswith("-OK") for each in expected)
+        self._count(self._state(method, params), f"{method}, refused" if refused else method)
         if expected and not expected[0].requirement.startswith("X"):
             self.decided[expected[0].requirement] = None
         before = executor.now(), executor.wall()
@@ -224,7 +229,7 @@ class Driver:
             model.bp.unknown_outcome(method, params)
             return None
         if method == "RTDB-Create" and answer.ok:
-            self.model.created(params, self._creation(params["varId"]), after[0])
+            self._judge(model.created(params, self._creation(params["varId"]), after[0]))
         self._judge(model.confirmed(method, params, answer.result | {"status": answer.status}, before, after))
         return answer
 
@@ -243,9 +248,11 @@ class Driver:
             params["protId"] = self.protocols.setdefault(number, self.executor.names.protocol(number))
         if "varId" in params:
             params["varId"] = self._variable(params["varId"])
+        if params.get("name") == "VARDISPAR_MAX_PAYLOAD_SIZE":
+            params["value"] = max(params["value"], self.model.least_payload)
         for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
-                params[name] = self._octets(params[name]).hex()
+                params[name] = self._octets(params[name], again=bool(params.pop(AGAIN, False))).hex()
         for name in ("descr", "name"):
             if isinstance(params.get(name), int):
                 params[name] = _letters(params[name])
@@ -254,8 +261,8 @@ class Driver:
             # 1.0 has one mode with a queue.
             params["queueingMode"] = str(QueueingMode.QUEUE)
         if step.method == "SRP-UpdateSafetyData":
+            self._handed += not params.pop(AGAIN, False)
             params["sData"] = self._safety_data(self._handed)
-            self._handed += 1
         return params
 
     def _variable(self, number: int) -> int:
@@ -263,9 +270,9 @@ class Driver:
         self.model.vardis.mine.add(var_id)
         return var_id
 
-    def _octets(self, size: int) -> bytes:
-        """Return octets that differ from those before, as far as the size allows."""
-        self._mark += 1
+    def _octets(self, size: int, *, again: bool = False) -> bytes:
+        """Return octets that differ from those before, as far as the size allows; ``again``: the octets before."""
+        self._mark += not again
         mark = self._mark.to_bytes(2, "big") if size > 1 else bytes((self._mark % 256,))
         return (mark * (size // len(mark) + 1))[:size]
 
@@ -345,38 +352,42 @@ class Driver:
     def _beacons(self, step: Beacon) -> Iterator[list[Block]]:
         """Yield the blocks of the beacons of a step: several if the records do not fit into one payload."""
         blocks: list[Block] = []
-        model, codec = self.model, self.executor.codec
-        for each in step.blocks:
-            if isinstance(each, Client):
-                prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
-                self._count(model.bp.client_state(prot_id), "payload" + (f", {step.fault}" if step.fault else ""))
-                blocks.append(Block(prot_id, self._octets(each.size)))
-            elif isinstance(each, Report):
-                if not codec.profile.srp.is_report:
-                    continue
-                for number in range(each.neighbour, each.neighbour + each.count):
-                    report = self._report(number, each.seqno)
-                    self._count(
-                        model.srp.state_of(report.node_id), "report" + (f", {step.fault}" if step.fault else "")
-                    )
-                    if each.count > 1:
-                        yield [self._builder.srp(report)]
-                    else:
-                        blocks.append(self._builder.srp(report))
-            elif self.executor.hears_vardis:
-                yield from self._record_blocks(each, step, blocks)
+        model = self.model
+        about = f", {step.fault}" if step.fault else ""
+        for kind, group in groupby(step.blocks, key=lambda each: each.kind if isinstance(each, Records) else None):
+            # Neighbouring records of one kind are in one container.
+            together = list(group)
+            if kind is not None and self.executor.hears_vardis:
+                records = [each for each in together if isinstance(each, Records)]
+                yield from self._record_blocks(records, step, blocks)
+            for each in together:
+                if isinstance(each, Client):
+                    prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
+                    self._count(model.bp.client_state(prot_id), f"payload{about}")
+                    blocks += [Block(prot_id, self._octets(each.size, again=each.again)) for _ in range(each.count)]
+                elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
+                    for number in range(each.neighbour, each.neighbour + each.count):
+                        report = self._report(number, each.seqno, earlier=each.earlier)
+                        self._count(model.srp.state_of(report.node_id), f"report{about}")
+                        if each.count > 1:
+                            yield [self._builder.srp(report)]
+                        else:
+                            blocks.append(self._builder.srp(report))
         if blocks:
             yield blocks
 
-    def _record_blocks(self, each: Records, step: Beacon, blocks: list[Block]) -> Iterator[list[Block]]:
+    def _record_blocks(self, records: list[Records], step: Beacon, blocks: list[Block]) -> Iterator[list[Block]]:
         model = self.model
         most = min(model.vardis.room.most, model.vardis.room.registered)
         group: list[VardisRecord] = []
         used = self._builder.container_header_size
-        for number in range(each.variable, each.variable + each.count):
-            record = self._record(each, number, step)
+        for each, number in (
+            (one, number) for one in records for number in range(one.variable, one.variable + one.count)
+        ):
+            record = self._record(each, number)
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
-            self._count(model.vardis.state_of(var_id), each.kind + (f", {step.fault}" if step.fault else ""))
+            event = f"{each.kind}, {step.fault}" if step.fault else model.vardis.event_of(each.kind, record)
+            self._count(model.vardis.state_of(var_id), event)
             size = self._builder.record_size(record)
             if group and (used + size > most or len(group) == 255):
                 yield [self._builder.vardis(*group)]
@@ -416,7 +427,7 @@ class Driver:
         octets = self._builder.beacon(sender, self._seqnos[step.sender], blocks, network_id=network, lies=lies)
         return octets if len(octets) <= profile.limits.uwb_max_packet else None
 
-    def _record(self, each: Records, number: int, step: Beacon) -> VardisRecord:
+    def _record(self, each: Records, number: int) -> VardisRecord:
         names, profile = self.executor.names, self.executor.codec.profile
         var_id = self._variable(number)
         fill = self._sampler.filled
@@ -443,10 +454,9 @@ class Driver:
             names.creation(each.creation) if "creationTime" in fields else None,
             min(each.timeout, longest) if "timeout" in fields else None,
         )
-        del step
         return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size)))))
 
-    def _report(self, number: int, seqno: int) -> ExtendedSafetyData:
+    def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
         codec = self.executor.codec
         kind = codec.safety_data_type
         self._mark += 1
@@ -457,9 +467,9 @@ class Driver:
             else value
             for name, value in values.items()
         }
-        return ExtendedSafetyData(
-            kind(**data), self.executor.names.neighbour(number)[0], self.executor.names.creation(self._mark % 8), seqno
-        )
+        names = self.executor.names
+        stamp = names.creation(0 if earlier else 1 + self._mark % 7)
+        return ExtendedSafetyData(kind(**data), names.neighbour(number)[0], stamp, seqno)
 
     def _state(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of the state of the model that a service depends on."""

@@ -21,6 +21,16 @@ class Event(msgspec.Struct, frozen=True, gc=False):
     params: dict[str, Any] = {}
 
 
+#: The number of a neighbour whose identifier differs from that of the node itself in one octet.
+TWIN = 3
+
+
+def twin(node_id: bytes) -> tuple[bytes, bytes]:
+    """Return identifier and address of a node that differ from ``node_id`` in one of the first octets."""
+    other = bytes((node_id[0], node_id[1] ^ 0x40, *node_id[2:]))
+    return other, other
+
+
 class Names(Protocol):
     """The identifiers of one run, for the numbers of a sequence."""
 
@@ -33,7 +43,10 @@ class Names(Protocol):
         ...
 
     def neighbour(self, number: int) -> tuple[bytes, bytes]:
-        """Return node identifier and link-layer address of a neighbour. 0 and 1 differ in the first octets only."""
+        """Return node identifier and link-layer address of a neighbour.
+
+        0 and 1 differ in the first octets only, and ``TWIN`` from the node itself, where identifiers are addresses.
+        """
         ...
 
     def creation(self, number: int) -> int:

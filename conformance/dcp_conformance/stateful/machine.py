@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, cast
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 from hypothesis import strategies as st
@@ -17,10 +17,11 @@ from hypothesis import target
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from dcp_conformance.oracle.bp import Client as Registration
+from dcp_conformance.oracle.knowledge import NO_CREATION
 
 from .driver import Counterexample, Driver
-from .executor import Executor
-from .steps import OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
+from .executor import TWIN, Executor
+from .steps import AGAIN, OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
 
 #: Numbers of protocols, variables and neighbours: mostly the first, since what happens twice to one finds more.
 _CLIENTS: Final = 3
@@ -28,7 +29,7 @@ _CLIENTS: Final = 3
 WHICH: Final = st.sampled_from((0, 0, 0, 1, 2))
 PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
 VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
-NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
+NEIGHBOURS: Final = st.sampled_from((0, 0, 0, 1, 2, TWIN))
 #: Beacon periods of a wait.
 PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
 #: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
@@ -54,6 +55,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
         "payload",
         "records",
         "renew",
+        "change_period",
         "wait",
     ),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
@@ -64,8 +66,18 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
     "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
     "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
+    "variable": ("records", "records", "records", "records", "create", "update", "delete", "wait"),
+    "own-variable": ("create", "update", "update", "delete", "wait", "wait", "records"),
     "everything": (),
 }
+#: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
+_ONE: Final = ("variable", "own-variable")
+_CHOSEN: Final = (*THEMES, *_ONE, *("variable",) * 4)
+#: How a sequence about one variable begins: by whom it was created, whether it was deleted, and whether time passed.
+_BEGINNINGS: Final = tuple(
+    (creator, deleted, later) for creator in ("", "node", "neighbour") for deleted in (False, True)
+    for later in (False, True) if creator or not (deleted or later)
+)  # fmt: skip
 _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
 REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above")),
@@ -75,8 +87,24 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 _FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
+_AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
-_KINDS: Final[tuple[RecordKind, ...]] = ("create", "update", "delete", "summary", "ask-update", "ask-create")
+#: Records by what they say compared with what the node holds; more frequent ones several times.
+RECORDS: Final = (
+    "create: later", "create: later", "create: later", "create: same", "create: earlier", "create: own",
+    "create: no value", "create: value too long", "create: no description", "create: description too long",
+    "create: repCnt 0", "create: repCnt too large", "create: largest", "delete", "delete",
+    "update: newer", "update: newer", "update: older", "update: equal", "update: opposite", "update: no value",
+    "update: value too long", "update: largest", "summary: newer", "summary: older", "summary: equal",
+    "summary: opposite", "ask-update: older", "ask-update: equal", "ask-update: newer", "ask-create",
+)  # fmt: skip
+#: Numbers of creations in the order of their times. From 8 on they are later than the variables of the node.
+_CREATIONS: Final = (1, 2, 3, 4, 5, 6, 7, *range(9, 40))
+#: Sizes of value and description by what is special about a record or a call.
+_FLAWS: Final[dict[str, tuple[int | str, int | str]]] = {
+    "no value": (0, 3), "value too long": ("above", 3), "no description": (2, 0), "description too long": (2, "above"),
+    "largest": ("most", "most"), "shortest": (1, 1),
+}  # fmt: skip
 #: Numbers of variables at once: few, more than fit into a small payload, more than half of a container.
 _CROWDS: Final = st.sampled_from((6, 30, 140, 200))
 
@@ -129,11 +157,36 @@ class NodeMachine(RuleBasedStateMachine):
         self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
 
-    @initialize(theme=st.sampled_from(tuple(THEMES)))
-    def about(self, theme: str) -> None:
-        """Choose what the sequence is about."""
+    @initialize(
+        theme=st.sampled_from(_CHOSEN),
+        beginning=st.sampled_from(_BEGINNINGS),
+        registration=st.none() | st.fixed_dictionaries(REGISTRATION),
+    )
+    def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any] | None) -> None:
+        """Choose what the sequence is about, and begin."""
         self.title = theme
         self.theme = THEMES[theme] or tuple(ACTIONS)
+        if theme in _ONE and self._vardis and self.executor.hears_vardis:
+            self._begin(*beginning)
+        elif "register" in self.theme and self.has("BP-RegisterProtocol") and registration is not None:
+            self.register(**registration)
+
+    def _begin(self, creator: str, deleted: bool, later: bool) -> None:
+        """Bring the variable of the sequence into a state."""
+        if creator == "node":
+            self.create(0, "", 1, 0)
+        elif creator:
+            self.take(Beacon(0, (self._record("create: later", 0, 1, 1, 0),)))
+        if deleted and creator == "node":
+            self.delete(0)
+        elif deleted:
+            self.take(Beacon(0, (Records("delete", 0),)))
+        if later:
+            self.take(Wait(4))
+
+    def _variable(self, number: int) -> int:
+        """Return the number of a variable; 0 if the sequence is about one."""
+        return 0 if self.title in _ONE else number
 
     @rule(data=st.data())
     def act(self, data: st.DataObject) -> None:
@@ -236,8 +289,9 @@ class NodeMachine(RuleBasedStateMachine):
         which=WHICH,
         size=st.sampled_from(("usual", "most", "usual", "usual", "above", "empty", "one")),
         times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
+        again=_AGAIN,
     )
-    def submit(self, which: int, size: str, times: int | str) -> None:
+    def submit(self, which: int, size: str, times: int | str, again: bool) -> None:
         """Submit payloads."""
         number = self._one_of(which)
         client = self.registrations()[number]
@@ -246,7 +300,8 @@ class NodeMachine(RuleBasedStateMachine):
         ]
         if times == "fill":
             times = client.entries + 1 if client.mode in _QUEUES else 2
-        self.take(Call("BP-TransmitPayload", {"protId": number, "payload": octets}, int(times)))
+        params = {"protId": number, "payload": octets} | ({AGAIN: True} if again else {})
+        self.take(Call("BP-TransmitPayload", params, int(times)))
 
     @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=WHICH)
     def clear(self, which: int) -> None:
@@ -260,15 +315,18 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call(f"BP-MGMT-{'Deactivate' if on else 'Activate'}"))
 
     @action(
-        lambda self: self.registered,
+        lambda self: self.has("BP-RegisterProtocol"),
         sender=NEIGHBOURS,
         number=PROTOCOLS,
         size=st.sampled_from((4, 1, 20, 0)),
+        count=st.sampled_from((1, 1, 1, 1, 2, 140)),
+        again=_AGAIN,
         fault=_FAULTS,
     )
-    def payload(self, sender: int, number: int, size: int, fault: Any) -> None:
-        """Send a payload to a client protocol."""
-        self.take(Beacon(sender, (Client(number, size),), fault))
+    def payload(self, sender: int, number: int, size: int, count: int, again: bool, fault: Any) -> None:
+        """Send payloads to a client protocol, several times in faulty beacons."""
+        for _ in range(4 if fault else 1):
+            self.take(Beacon(sender, (Client(number, size, count, again),), fault))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -342,13 +400,18 @@ class NodeMachine(RuleBasedStateMachine):
 
     # -- SRP -------------------------------------------------------------------------------------------------
 
-    @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
-    def submit_safety_data(self, times: int, pause: bool) -> None:
+    @action(
+        lambda self: self.has("SRP-UpdateSafetyData"),
+        times=st.sampled_from((1, 2)),
+        pause=st.sampled_from((0, 0.4, 2)),
+        again=_AGAIN,
+    )
+    def submit_safety_data(self, times: int, pause: float, again: bool) -> None:
         """Submit safety data."""
         for _ in range(times):
             if pause:
-                self.take(Wait(0.4))
-            self.take(Call("SRP-UpdateSafetyData"))
+                self.take(Wait(pause))
+            self.take(Call("SRP-UpdateSafetyData", {AGAIN: True} if again else {}))
 
     @action(
         lambda self: self.has("SRP-NeighbourTable"),
@@ -356,27 +419,29 @@ class NodeMachine(RuleBasedStateMachine):
         neighbour=st.sampled_from((0, 1, 2, 3)),
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
+        earlier=st.sampled_from((False, False, False, True)),
         fault=_FAULTS,
     )
-    def report(self, sender: int, neighbour: int, seqno: int, count: int, fault: Any) -> None:
+    def report(self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, fault: Any) -> None:
         """Send state reports."""
-        self.take(Beacon(sender, (Report(neighbour, seqno, count),), fault))
+        self.take(Beacon(sender, (Report(neighbour, seqno, count, earlier),), fault))
 
     # -- VarDis ----------------------------------------------------------------------------------------------
 
     @action(
         lambda self: self._vardis,
         number=VARIABLES,
-        size=st.sampled_from((2, 2, 2, 2, "most", 1, "above", 0)),
-        descr=st.sampled_from((3, 3, 3, 3, 3, "most", 1, "above", 0)),
-        repetitions=st.sampled_from((1, 1, "most", "most", "most", "above", 0)),
+        what=st.sampled_from(("",) * 6 + (*_FLAWS, "two flaws", "repCnt 0", "repCnt too large")),
+        repetitions=st.sampled_from((1, 1, "most", "most")),
         timeout=_TIMEOUTS,
     )
-    def create(self, number: int, size: int | str, descr: int | str, repetitions: int | str, timeout: int) -> None:
+    def create(self, number: int, what: str, repetitions: int | str, timeout: int) -> None:
         """Create a variable of the node."""
+        size, descr = ("above", "above") if what == "two flaws" else _FLAWS.get(what, (2, 3))
+        count = 0 if what == "repCnt 0" else "above" if what == "repCnt too large" else repetitions
         params = {
-            "varId": number,
-            "repCnt": self._limit(repetitions, "REPETITIONS"),
+            "varId": self._variable(number),
+            "repCnt": self._limit(count, "REPETITIONS"),
             "descr": self._limit(descr, "DESCRIPTION_LENGTH"),
             "value": self._limit(size, "VALUE_LENGTH"),
         }
@@ -388,16 +453,19 @@ class NodeMachine(RuleBasedStateMachine):
         lambda self: self._vardis,
         number=VARIABLES,
         size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
-        times=st.sampled_from((1, 2)),
+        times=st.sampled_from((1,) * 12 + (2,) * 6 + (260,)),
+        again=_AGAIN,
     )
-    def update(self, number: int, size: int | str, times: int) -> None:
+    def update(self, number: int, size: int | str, times: int, again: bool) -> None:
         """Update a variable."""
-        self.take(Call("RTDB-Update", {"varId": number, "value": self._limit(size, "VALUE_LENGTH")}, times))
+        params = {"varId": self._variable(number), "value": self._limit(size, "VALUE_LENGTH")}
+        params |= {AGAIN: True} if again else {}
+        self.take(Call("RTDB-Update", params, times))
 
     @action(lambda self: self._vardis, number=VARIABLES)
     def delete(self, number: int) -> None:
         """Delete a variable."""
-        self.take(Call("RTDB-Delete", {"varId": number}))
+        self.take(Call("RTDB-Delete", {"varId": self._variable(number)}))
 
     @action(lambda self: self.can_switch("VD"))
     def switch_vardis(self) -> None:
@@ -408,15 +476,13 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.executor.hears_vardis,
         sender=NEIGHBOURS,
-        records=st.lists(
+        number=VARIABLES,
+        events=st.lists(
             st.tuples(
-                st.sampled_from(_KINDS),
-                VARIABLES,
-                st.sampled_from((0, 1, 1, 1, 2, -1, -1, 127, 128, 129)),
-                st.sampled_from((2, 2, 2, 2, 2, 1, "most", "above", 0)),
-                st.sampled_from((1, 1, "most", "most", "above", 0)),
-                st.sampled_from((1, 1, 2, 0, 9)),
-                st.sampled_from((0, 0, 0, 1, OWN)),
+                st.sampled_from(RECORDS),
+                st.sampled_from((0, 0, 0, 0, 0, 0, 1, 2)),
+                st.sampled_from((1, 1, 1, 2, "quarter", "most")),
+                st.sampled_from((1, 1, "most", "most")),
                 _TIMEOUTS,
             ),
             min_size=1,
@@ -424,21 +490,40 @@ class NodeMachine(RuleBasedStateMachine):
         ),
         fault=_FAULTS,
     )
-    def records(self, sender: int, records: list[Any], fault: Any) -> None:
-        """Send instructions about variables."""
-        model = self.driver.model.vardis
-        blocks = []
-        for kind, number, step, size, repetitions, creation, producer, timeout in records:
-            known = model.variables.get(self.executor.names.variable(number))
-            seqno = step if known is None or kind == "create" else known.now.seqno + step
-            blocks.append(
-                Records(
-                    kind, number, 1, seqno, self._limit(size, "VALUE_LENGTH"),
-                    self._limit(size, "DESCRIPTION_LENGTH", 3), self._limit(repetitions, "REPETITIONS"), producer,
-                    creation, timeout,
-                )
-            )  # fmt: skip
+    def records(self, sender: int, number: int, events: list[Any], fault: Any) -> None:
+        """Send instructions, mostly about one variable, each with at most one flaw."""
+        blocks = [
+            self._record(event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout)
+            for event, further, far, repetitions, timeout in events
+        ]
         self.take(Beacon(sender, tuple(blocks), fault))
+
+    def _record(self, event: str, number: int, far: int | str, repetitions: int, timeout: int) -> Records:
+        """Return a record that is related as ``event`` says to what the node holds.
+
+        ``far``: distance of its number on the circle.
+        """
+        model, names = self.driver.model.vardis, self.executor.names
+        circle = 1 << 8 * self.executor.codec.profile.types.var_seqno.width
+        distance = far if isinstance(far, int) else {"quarter": circle // 4, "most": circle // 2 - 1}[far]
+        kind, _, what = event.partition(": ")
+        known = model.variables.get(names.variable(number))
+        seqno = 0 if known is None else known.now.seqno
+        if kind == "create":
+            latest = NO_CREATION if known is None else known.latest
+            later = next((each for each in _CREATIONS if names.creation(each) > latest), _CREATIONS[-1])
+            earlier = max(later - 1, 0) if what == "same" else max(later - 2, 0) if what == "earlier" else later
+            seqno = {1: 0, 2: 1}.get(distance, circle - 1)
+        else:
+            seqno += {"newer": distance, "older": -distance, "opposite": circle // 2, "equal": 0}.get(what, distance)
+            later = earlier = 0
+        size, descr = _FLAWS.get(what, (2, 3))
+        if what.startswith("repCnt"):
+            repetitions = 0 if what == "repCnt 0" else self._limit("above", "REPETITIONS")
+        return Records(
+            cast("RecordKind", kind), number, 1, seqno % circle, self._limit(size, "VALUE_LENGTH"),
+            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, earlier, timeout,
+        )  # fmt: skip
 
     @action(
         lambda self: self.executor.hears_vardis and self.executor.crowds > 32,
@@ -454,14 +539,14 @@ class NodeMachine(RuleBasedStateMachine):
         record = Records(kind, 6, count, seqno, 1, 1, self._limit(repetitions, "REPETITIONS"), 0, creation)
         self.take(Beacon(0, (record,)))
 
-    def _limit(self, size: int | str, name: str, usual: int | None = None) -> int:
+    def _limit(self, size: int | str, name: str) -> int:
         """Return a size, or one at the limit of a parameter."""
         most = int(self.driver.model.values[f"VARDISPAR_MAX_{name}"])
         if size == "most":
             return min(most, 255)
         if size == "above":
             return min(most + 1, 255)
-        return min(int(size) if usual is None else usual, max(most, 1))
+        return min(int(size), max(most, 1))
 
     @action(lambda self: bool(self.driver.model.srp.table), part=st.sampled_from((1.4, 0.9, 0.5, 1.4)))
     def age(self, part: float) -> None:

@@ -10,7 +10,7 @@ from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer
 
-from .executor import Event
+from .executor import TWIN, Event, twin
 
 #: Longest duration of a call in ns with which the state is queried after each step.
 _QUICK: Final = 20 * MS
@@ -54,10 +54,9 @@ class BenchNames:
         if number not in self._neighbours:
             self._neighbours[number] = self._bench.identifiers.new_node()
             node_id, address = self._neighbours[number]
-            if number == 1 and len(node_id) == len(address) and node_id == address:
-                twin = bytearray(self.neighbour(0)[0])
-                twin[1] ^= 0x40
-                self._neighbours[1] = bytes(twin), bytes(twin)
+            if number in (1, TWIN) and node_id == address:
+                other = self.neighbour(0)[0] if number == 1 else self._bench.identifiers.sut_id
+                self._neighbours[number] = twin(other) if len(other) == len(node_id) else (node_id, address)
         return self._neighbours[number]
 
     def creation(self, number: int) -> int:

@@ -17,6 +17,8 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
     "version": ("BP-RX-01",), "magic": ("BP-RX-02",), "network": ("BP-RX-05",), "own-sender": ("BP-RX-06",),
     "no-length": ("BP-RX-03",), "no-payloads": ("BP-RX-04",),
 }  # fmt: skip
+#: Parameter of a call: its octets are those of the call or payload before.
+AGAIN: Final = "again"
 #: The producer of a record that is the node itself.
 OWN: Final = -1
 
@@ -53,13 +55,18 @@ class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
     neighbour: int
     seqno: int
     count: int = 1
+    earlier: bool = False
+    """Whether tStamp is earlier than that of all other reports."""
 
 
 class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
-    """A payload for a client protocol, of ``size`` octets."""
+    """``count`` payloads for a client protocol, of ``size`` octets each."""
 
     protocol: int
     size: int
+    count: int = 1
+    again: bool = False
+    """Whether the octets are those of the payload before."""
 
 
 class Beacon(msgspec.Struct, frozen=True, omit_defaults=True, tag="beacon"):
@@ -92,10 +99,11 @@ def text(step: Step) -> str:
 
 def _block(block: Records | Report | Client) -> str:
     if isinstance(block, Client):
-        return f"{block.size} octets for protocol {block.protocol}"
+        several = f"{block.count} times " if block.count > 1 else ""
+        return f"{several}{block.size} octets for protocol {block.protocol}{', as before' if block.again else ''}"
     if isinstance(block, Report):
         who = str(block.neighbour) if block.count == 1 else f"{block.neighbour} to {block.neighbour + block.count - 1}"
-        return f"report of neighbour {who}, seqno {block.seqno}"
+        return f"report of neighbour {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}"
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):

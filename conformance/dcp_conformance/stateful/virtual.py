@@ -10,7 +10,7 @@ from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUppe
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.config import NodeConfig
 
-from .executor import Event
+from .executor import TWIN, Event, twin
 
 #: Identifiers in which counters, signs and table indices are likely to fail, then the others.
 _EDGES: Final = (1, 0, 127, 128, 255, 2)
@@ -23,6 +23,7 @@ class VirtualNames:
     def __init__(self, sut: InProcess) -> None:
         profile = sut.config.profile
         self._profile = profile
+        self._own_id = sut.config.node_id
         top = (1 << 8 * min(profile.types.var_id.width, 2)) - 1
         edges = [*_EDGES, top] if top > 255 else list(_EDGES)
         taken = set(edges)
@@ -42,7 +43,7 @@ class VirtualNames:
 
     def neighbour(self, number: int) -> tuple[bytes, bytes]:
         """Return node identifier and address of a neighbour."""
-        return named(self._profile, number)
+        return twin(self._own_id) if number == TWIN and len(self._own_id) == 6 else named(self._profile, number)
 
     def creation(self, number: int) -> int:
         """Return a creation time in ticks."""

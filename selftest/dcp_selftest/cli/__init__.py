@@ -12,6 +12,7 @@ main = CommandLine(
     commands={
         "mutants": "Test the suite with faulty nodes, which it must detect.",
         "variants": "Test the suite with permitted nodes, which it must not fail.",
+        "model": "Search faulty nodes with the model alone, or draw its sequences.",
         "generated": "Test the suite with random changes of the node's source.",
         "side-by-side": "Compare the verdicts of concurrent cases with those of cases in succession.",
         "vectors": "Test the test vectors with permitted nodes and mutants.",

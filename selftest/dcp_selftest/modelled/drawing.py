@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .corpus import Corpus, Sequence, selected, usable
-from .driver import Driver
-from .executor import Executor
-from .machine import NodeMachine
-from .search import search
+from dcp_conformance.stateful.corpus import Corpus, Sequence, selected, usable
+from dcp_conformance.stateful.driver import Driver
+from dcp_conformance.stateful.executor import Executor
+from dcp_conformance.stateful.machine import NodeMachine
+from dcp_conformance.stateful.search import search
 
 #: Longest sequence that a run executes, in beacon periods and in steps.
 _LONGEST = 60.0

@@ -1,0 +1,111 @@
+"""``dcp-selftest model``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import msgspec
+from dcp_conformance.errors import UsageError
+
+from dcp_codec.common.commandline import say
+
+from .common import jobs_option, quiet_option, report_option, seed_option, verbose_option, write_file, write_json
+
+
+@click.command(
+    "model",
+    epilog="Exit status: 0 the model finds every faulty node, or sequences are drawn; 1 not; 2 wrong usage.",
+)
+@click.argument("requirements", nargs=-1)
+@click.option("--cells", is_flag=True, help="Try the state table with each cell changed, instead of the mutants.")
+@click.option("--profile", "-p", default="dcp-2.0", show_default=True, help="Profile of the state table.")
+@click.option(
+    "--sequences",
+    type=click.IntRange(0),
+    default=400,
+    show_default=True,
+    metavar="N",
+    help="Draw so many sequences after those of a run.",
+)
+@click.option("--shrink", is_flag=True, help="Make counterexamples as short as possible.")
+@click.option(
+    "--draw",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw sequences with the reference node, and write those of a run and the best new ones to FILE.",
+)
+@click.option("--most", type=click.IntRange(1), default=40, show_default=True, metavar="N", help="Add up to N to FILE.")
+@seed_option
+@jobs_option
+@report_option
+@verbose_option
+@quiet_option
+def command(
+    requirements: tuple[str, ...],
+    profile: str,
+    sequences: int,
+    draw: Path | None,
+    most: int,
+    seed: int,
+    jobs: int | None,
+    report_dir: Path | None,
+    *,
+    cells: bool,
+    shrink: bool,
+    verbose: bool,
+    quiet: bool,
+) -> int:
+    """Search faulty nodes with the model alone, without the cases of the suite.
+
+    REQUIREMENTS are the beginnings of identifiers: only mutants that violate them are tried.
+    """
+    from dcp_conformance.cli.display import progress_bar
+
+    from dcp_selftest.modelled import faults
+    from dcp_selftest.modelled.campaign import Searched, run
+
+    if draw is not None:
+        return _draw(draw, profile, sequences=sequences, seed=seed, most=most)
+    chosen = list(faults.cells(profile) if cells else faults.mutants(requirements))
+    if not chosen:
+        raise UsageError(f"no mutant violates {' or '.join(requirements)}")
+    results: list[Searched] = []
+    with progress_bar(quiet=quiet) as progress:
+        task = progress.add_task("faulty nodes", total=len(chosen))
+        for each in run(chosen, sequences=sequences, seed=seed, shrink=shrink, jobs=jobs):
+            progress.update(task, advance=1, description=each.fault.id)
+            results.append(each)
+            if verbose or not each.by:
+                what = ", ".join(each.requirements) or "not found"
+                say(f"{each.fault.id} ({each.fault.profile}): {what} [{each.by or 'search'}, {each.seconds:.1f} s]")
+    write_json(Report(tuple(results)), report_dir, "model.json")
+    by_run, by_search = (sum(each.by == by for each in results) for by in ("run", "search"))
+    say(
+        f"{len(results)} faulty nodes: {by_run} found by the sequences of a run, {by_search} by up to {sequences} "
+        f"drawn ones, {len(results) - by_run - by_search} not"
+    )
+    return 0 if by_run + by_search == len(results) else 1
+
+
+class Report(msgspec.Struct, frozen=True):
+    """The results of a campaign."""
+
+    results: tuple[msgspec.Struct, ...]
+
+
+def _draw(file: Path, profile: str, *, sequences: int, seed: int, most: int) -> int:
+    from dcp_conformance.reference.inprocess import reference_config
+    from dcp_conformance.stateful.corpus import corpus
+    from dcp_conformance.stateful.virtual import VirtualExecutor
+
+    from dcp_codec.codec import get_codec
+    from dcp_selftest.modelled.drawing import drawn
+
+    config, before = reference_config(get_codec(profile)), corpus()
+    found = drawn(lambda: VirtualExecutor(config), before, seed=seed, sequences=sequences, most=most)
+    # A line for each sequence, so that a change of the file can be read.
+    lines = b",\n".join(msgspec.json.encode(each) for each in found.sequences)
+    write_file(file, b'{"seeds": %b, "sequences": [\n%b\n]}\n' % (msgspec.json.encode(found.seeds), lines))
+    say(f"{len(before.sequences)} sequences before, {len(found.sequences)} now: {file}")
+    return 0

@@ -1,0 +1,63 @@
+"""Search faulty nodes with the model alone: first the sequences of a run, then newly drawn ones."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Generator, Sequence
+from functools import partial
+
+import msgspec
+from dcp_conformance.reference.inprocess import reference_config
+from dcp_conformance.stateful.corpus import corpus
+from dcp_conformance.stateful.driver import Counterexample, Driver
+from dcp_conformance.stateful.search import search
+from dcp_conformance.stateful.virtual import VirtualExecutor
+
+from dcp_codec.codec import get_codec
+from dcp_codec.common.workers import completed
+
+from .faults import Fault
+
+
+class Searched(msgspec.Struct, frozen=True):
+    """What the model has found in one faulty node."""
+
+    fault: Fault
+    by: str
+    """``run`` or ``search``; empty if nothing was found."""
+    requirements: tuple[str, ...] = ()
+    steps: int = 0
+    """Number of steps of the counterexample; 0 for a sequence of a run, which is not made shorter."""
+    sequences: int = 0
+    """Number of sequences until then."""
+    seconds: float = 0.0
+    """Processor time."""
+
+
+def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Searched:
+    """Search one faulty node."""
+    config, make = reference_config(get_codec(fault.profile)), fault.make()
+    began = time.process_time()
+    for number, each in enumerate(corpus().sequences, 1):
+        try:
+            Driver(VirtualExecutor(config, make=make)).run(each.steps)
+        except Counterexample as found:
+            seconds = time.process_time() - began
+            return Searched(fault, "run", found.finding.requirements, sequences=number, seconds=seconds)
+    if not sequences:
+        return Searched(fault, "", seconds=time.process_time() - began)
+    result = search(lambda: VirtualExecutor(config, make=make), sequences=sequences, steps=10, seed=seed, shrink=shrink)
+    seconds = time.process_time() - began
+    gc.collect()
+    if result.counterexample is None:
+        return Searched(fault, "", sequences=result.sequences, seconds=seconds)
+    finding, steps = result.counterexample.finding, len(result.counterexample.steps)
+    return Searched(fault, "search", finding.requirements, steps, result.sequences, seconds)
+
+
+def run(faults: Sequence[Fault], *, sequences: int, seed: int, shrink: bool, jobs: int | None) -> Generator[Searched]:
+    """Search all faulty nodes; yield the results as they come."""
+    work = partial(searched, sequences=sequences, seed=seed, shrink=shrink)
+    for _, result in completed(work, faults, jobs):
+        yield result
