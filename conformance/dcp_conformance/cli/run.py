@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     "-j",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Number of concurrent processes of the reference node.  [default: two for each processor, 4 to 16]",
+    help="Number of concurrent processes of the reference node.  [default: three for each processor, 6 to 16]",
 )
 @click.option(
     "--side-by-side",

@@ -469,8 +469,9 @@ class VardisModel(Oracle):
                 if together:
                     which = "VD-RX-09"
                 expected = f"{kind.label} of variable {passed}, which was queued before {first}"
-                yield Finding((which, *(("VD-CMP-03",) if kind is _SUMMARIES and which != "VD-CMP-03" else ())),
-                              expected, f"that of {first} first")  # fmt: skip
+                # It is not there at all, if the event before had no effect.
+                causes = (which, *(("VD-CMP-03",) if kind is _SUMMARIES else ()), *self.why.get(passed, ())[:1])
+                yield Finding(tuple(dict.fromkeys(causes)), expected, f"that of {first} first")
                 self._order.forget()
                 break
             self._order.sent(kind, ids, since)
@@ -527,7 +528,8 @@ class VardisModel(Oracle):
 
     def _without_summary(self, var_id: int, observed: str) -> Finding:
         which = "VD-CRE-12" if self._own(self.variables[var_id].now) else "VD-PC-09"
-        return Finding((which, "VD-CMP-03"), f"a summary of variable {var_id}", observed)
+        causes = (which, "VD-CMP-03", *self.why.get(var_id, ())[:1])
+        return Finding(tuple(dict.fromkeys(causes)), f"a summary of variable {var_id}", observed)
 
     def silent(self, time: int) -> Iterator[Finding]:
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""

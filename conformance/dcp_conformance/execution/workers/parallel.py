@@ -37,11 +37,11 @@ class Revised(NamedTuple):
 def workers_for(run: ConformanceRun, jobs: int | None = None) -> int:
     """Return the number of workers for a run, at most ``jobs`` and at most the number of cases.
 
-    It is 1 unless the reference node is tested in separate processes. ``jobs`` defaults to two for each processor, but
-    4 to 16: a worker needs a twentieth of a processor, but a second of processor time to start.
+    It is 1 unless the reference node is tested in separate processes. ``jobs`` defaults to three for each processor,
+    but 6 to 16: a worker needs a twentieth of a processor, but a second of processor time to start.
     """
     options = run.options
-    jobs = jobs or min(16, max(4, 2 * (os.cpu_count() or 1)))
+    jobs = jobs or min(16, max(6, 3 * (os.cpu_count() or 1)))
     return 1 if options.foreign or options.in_process else max(1, min(jobs, len(run.selected)))
 
 
