@@ -125,12 +125,13 @@ man: $(STAMP)
 matrix: $(STAMP)
 	$(BIN)/dcp-selftest matrix
 
-# Regenerate docs/selftest.md: all cases that name a requirement against its mutants, all permitted variants,
-# and three draws of random changes of the node.
+# Regenerate docs/selftest.md: all cases that name a requirement against its mutants, all permitted variants, three
+# draws of random changes of the node, and the test vectors.
 selftest-doc: $(STAMP)
 	$(BIN)/dcp-selftest mutants --document docs/selftest.md
 	$(BIN)/dcp-selftest variants --document docs/selftest.md
 	$(BIN)/dcp-selftest generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
+	$(BIN)/dcp-selftest vectors --document docs/selftest.md
 
 $(STAMP) $(DEMO): pyproject.toml selftest/pyproject.toml
 	@echo "Installing into $(VENV) ..."
