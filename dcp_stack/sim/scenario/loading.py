@@ -8,6 +8,7 @@ import math
 import random
 import re
 import tomllib
+import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -204,21 +205,26 @@ _TABLES: dict[str, type[msgspec.Struct]] = {
 
 
 def _hint(sentence: str, key: str, raw: dict[str, Any]) -> str:
-    """Return a hint about the key that was probably meant by an unknown one, or about all keys of the table."""
+    """Return a hint about the key that was probably meant by an unknown one, about all keys or all values."""
+    if "Invalid enum value" in sentence:
+        place, _, name = key.rpartition(".")
+        table = _table(place, raw)
+        values = typing.get_args(typing.get_type_hints(table).get(name)) if table is not None else ()
+        return f"; the values are {', '.join(map(str, values))}" if values else ""
     match = re.search(r"unknown field `(.*)`", sentence)
-    if match is None:
-        return ""
-    table = _TABLES.get(re.sub(r"\[\d+\]", "[...]", key))
-    if place := re.fullmatch(r"(events|expect)\[(\d+)\]", key):
-        row = raw[place[1]][int(place[2])]
-        base = Event if place[1] == "events" else Expectation
-        tag = row.get("do") or row.get("that")
-        table = _variant(base, tag)
-    if table is None:
+    if match is None or (table := _table(key, raw)) is None:
         return ""
     known = [field.encode_name for field in msgspec.structs.fields(table)]
     near = difflib.get_close_matches(match[1], known, n=1)
     return f"; did you mean {near[0]}?" if near else f"; the keys are {', '.join(known)}"
+
+
+def _table(key: str, raw: dict[str, Any]) -> type[msgspec.Struct] | None:
+    """Return the type of the table at a key, None if it is not known."""
+    if place := re.fullmatch(r"(events|expect)\[(\d+)\]", key):
+        row = raw[place[1]][int(place[2])]
+        return _variant(Event if place[1] == "events" else Expectation, row.get("do") or row.get("that"))
+    return _TABLES.get(re.sub(r"\[\d+\]", "[...]", key))
 
 
 def _variant(base: type[msgspec.Struct], tag: object) -> type[msgspec.Struct] | None:

@@ -23,6 +23,7 @@ from dcp_stack.virtual.radio import Radio, RadioError, RadioMedium, Reception, l
 from dcp_stack.virtual.topology import Line, Positions
 
 US, MS = 1_000, 1_000_000
+EVENT = '[[events]]\ndo = "restart"\nnode = 0\nat_s = 0\nevery_s = 1\n'
 MODEL = """
 class Nearest:
     '''The nearest of several senders is received.'''
@@ -313,6 +314,12 @@ def test_unknown_keys_have_a_hint(tmp_path):
     path = tmp_path / "scenario.toml"
     path.write_text("nodes = 1\nduration_s = 1\n[radio]\nbitrate = 3\n")
     with pytest.raises(ScenarioError, match=r"radio: unknown key `bitrate`; did you mean bit_rate\?"):
+        load_scenario(path)
+    path.write_text("nodes = 1\nduration_s = 1\n[bp]\nintervals = 'poisson'\n")
+    with pytest.raises(ScenarioError, match=r"bp\.intervals: Invalid .* 'poisson'; the values are uniform, fixed, exp"):
+        load_scenario(path)
+    path.write_text(f"nodes = 1\nduration_s = 1\n{EVENT}intervals = 'poisson'\n")
+    with pytest.raises(ScenarioError, match=r"events\[0\].intervals: .* the values are fixed, exponential"):
         load_scenario(path)
 
 
