@@ -12,8 +12,8 @@ PATIENCE: Final = 3_000_000_000
 """Time in ns after which the number of a producer must have reached all nodes."""
 PATIENCE_BEACONS: Final = 10
 """The same in beacons of a node."""
-#: Number of states of the producer that are kept; more than there are sequence numbers of one octet.
-_KEPT = 1024
+#: Number of states of the producer that are kept: as many as there are sequence numbers of one octet.
+_KEPT = 256
 
 
 def patience(period_ns: float) -> int:
@@ -62,13 +62,21 @@ class Production:
         self._places[entry.number] = self._base + len(self._states)
         self._counts.append((self._counts[-1] if self._counts else 0) + (entry.number >= 0))
         self._states.append(entry)
-        if len(self._states) > 2 * _KEPT:
-            del self._states[:_KEPT], self._counts[:_KEPT]
-            self._base += _KEPT
+
+    @property
+    def full(self) -> bool:
+        """Whether so many states are kept that the older half can be forgotten."""
+        return len(self._states) >= 2 * _KEPT
+
+    def forget(self) -> None:
+        """Forget the older half of the states. Compare the present states of all nodes before."""
+        self._base += _KEPT
+        del self._states[:_KEPT], self._counts[:_KEPT]
 
     def compare(self, entry: Entry) -> None:
         """Set what the producer had done when a node stated its number for the last time."""
-        if entry.age <= 0:
+        if entry.age <= 0 or (self._base and entry.until < self._states[0].time):
+            # In the latter case it was compared before the states were forgotten.
             return
         last = max(bisect_left(self._states, entry.until, key=attrgetter("time")) - 1, 0)
         entry.missed = self._counts[last] - entry.count

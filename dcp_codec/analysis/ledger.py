@@ -265,6 +265,9 @@ class Ledger:
             self._begun.append(entry)
             if (production := self._productions.get(var_id)) is not None:
                 production.begins(entry)
+                if production.full:
+                    self._present(var_id)
+                    production.forget()
         if kind is UPDATE or kind is CREATE:
             entry.carry(frame, time)
         elif kind is ASK_UPDATE or kind is ASK_CREATE:
@@ -285,6 +288,8 @@ class Ledger:
             production = Production(producer)
             for each in self.entries(var_id):
                 production.begins(each)
+                if production.full:
+                    production.forget()
             for each in self._ended:
                 if each.var_id == var_id:
                     self._compare(production, each)
@@ -303,7 +308,7 @@ class Ledger:
     def _compare(self, production: Production, ended: Entry) -> None:
         """Compare an ended state with the producer's, and keep it if it was stale."""
         production.compare(ended)
-        if ended.age >= PATIENCE and len(self._stale) < _STALE:
+        if ended.newest is not None and ended.age >= PATIENCE and len(self._stale) < _STALE:
             self._stale.append(ended)
 
     @staticmethod
@@ -342,11 +347,11 @@ class Ledger:
         """Return all senders, in the order of their first beacon."""
         return list(self._voices)
 
-    def _present(self) -> list[Entry]:
-        """Return the present states, up to date."""
+    def _present(self, var_id: int | None = None) -> list[Entry]:
+        """Return the present states of a variable (default: all), up to date."""
         found = []
         for voice in self._voices.values():
-            for entry in voice.entries.values():
+            for entry in voice.entries.values() if var_id is None else filter(None, [voice.entries.get(var_id)]):
                 self._reach(entry, voice)
                 if entry.left is not None and (production := self._productions.get(entry.var_id)) is not None:
                     production.compare(entry)
@@ -393,7 +398,7 @@ class Ledger:
         beacons, after the producer has left it. Variables whose creates name several producers have no stale states.
         """
         least = patience(period_ns)
-        found = [each for each in (*self._stale, *self._present()) if each.age >= least]
+        found = [each for each in (*self._stale, *self._present()) if each.newest is not None and each.age >= least]
         return sorted((each for each in found if each.var_id in self._productions), key=_BY_VARIABLE)
 
     def as_json(self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None) -> dict[str, Any]:

@@ -106,6 +106,9 @@ def _layout(
         # One line for each sender: each has its own sequence.
         lines = (f'{BEACONS}{{sender=="{sender}"}}.seqno' for sender in senders)
         left.append(panel("Plot", "beacons", "Sequence numbers of beacons", _plot(lines, cycle(_COLOURS))))
+    if senders and "/dcp/holdings" in topics:
+        lines = (f'/dcp/holdings{{sender=="{sender}"}}.lag' for sender in senders)
+        right.append(panel("Plot", "lag", "Lag in values", _plot(lines, cycle(_COLOURS))))
     if "/dcp/vardis" in topics:
         path = {"value": "/dcp/vardis.icName", "label": "instructions", "timestampMethod": "receiveTime"}
         left.append(panel("StateTransitions", "instructions", "Instructions", {"paths": [path], "isSynced": True}))

@@ -163,6 +163,17 @@ def test_a_stale_state_is_found_in_a_recording_of_any_length(room):
     assert stale.age == round((2999.7 - 2001) * SECOND)
 
 
+@pytest.mark.parametrize("later", [10, 3000])
+def test_a_node_that_falls_silent_has_the_lag_of_its_last_beacon(later):
+    ledger = followed(20, 5)
+    for number in range(20, 20 + later):
+        ledger.feed(1000 + number, number * SECOND, ONE, saying(VarSumm(7, number % 256)))
+    (stale,) = ledger.stale()
+    assert stale.newest is not None
+    assert (stale.number, stale.newest.number, stale.missed) == (5, 19, 14)
+    assert stale.age == round((19.7 - 6) * SECOND)
+
+
 def test_a_state_is_stale_after_three_seconds_and_ten_beacons():
     ledger = followed(8, 3)
     assert [each.age for each in ledger.stale()] == [round(3.7 * SECOND)]
