@@ -21,7 +21,7 @@ from .faults import Fault
 
 
 class Searched(msgspec.Struct, frozen=True):
-    """What the model has found in one faulty node."""
+    """The result of the search in one faulty node."""
 
     fault: Fault
     by: str
