@@ -20,12 +20,12 @@ from typing import Any, Literal
 import msgspec
 from dcp_spec.markdown import table
 
-from dcp_stack.config import BPConfig, VardisConfig
+from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.sim.measuring import DelayRow
-from dcp_stack.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Update
+from dcp_stack.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Tracks, Update
 from dcp_stack.sim.scenario.radio import RadioTable
 from dcp_stack.sim.scenario.report import Report
-from dcp_stack.sim.virtual.player import simulate
+from dcp_stack.sim.virtual.player import Simulation, simulate
 
 PAGE = Path(__file__).parents[1] / "docs" / "validation.md"
 BEGIN, END = "<!-- table: made by benchmarks/validate.py -->", "<!-- end of table -->"
@@ -109,6 +109,26 @@ def line(
     )
 
 
+def report_age(loss: float, seed: int, seconds: float) -> float:
+    """Simulate two nodes with SRP; returns the mean age of their reports in ms."""
+    simulation = Simulation(
+        Scenario(
+            nodes=2,
+            duration_s=seconds,
+            warm_up_s=2.0,
+            seed=seed,
+            vardis=False,
+            bp=BPConfig(beacon_period_ms=round(PERIOD_MS), jitter=JITTER),
+            # Loss bursts of a whole timeout are rare, but would end the measurement.
+            srp=SRPConfig(neighbour_table_timeout_ms=10_000),
+            link=LinkQuality(loss=loss),
+            tracks=(Tracks(source="track:circle"),),
+        )
+    )
+    simulation.measure_ages()
+    return statistics.fmean(each.mean_ms for each in simulation.run().ages)
+
+
 def delivery(loss: float, repetitions: int, hops: int) -> float:
     """Share of updates that arrive over ``hops`` hops without summaries: each hop has r independent attempts."""
     return (1 - loss**repetitions) ** hops
@@ -158,6 +178,10 @@ def rows(seeds: int, updates: int) -> Iterator[Row]:
     sent = [line(4, 0.0, 3, seed, updates) for seed in numbers]
     beacons = [sum(node.beacons_sent for node in each.traffic) / (updates + 1) for each in sent]
     yield Row("beacons for each value, r = 3, 4 nodes", 12, beacons, 2)
+    for loss in (0.0, 0.2, 0.5):
+        found = [report_age(loss, 200 + seed, 4.0 * updates) for seed in numbers]
+        # A report that is lost leaves the one before it, which is a period older.
+        yield Row(f"age of state reports (ms), p = {loss}", WAIT + PERIOD_MS * loss / (1 - loss), found)
     yield from radio_rows(numbers, updates)
 
 
@@ -206,8 +230,8 @@ def radio_rows(numbers: Sequence[int], updates: int) -> Iterator[Row]:
         yield Row(f"mean delay (ms), exponential intervals, h = {hops}", hops * PERIOD_MS, means, sigma=sigma)
     workload = Update(at_s=0.0, every_s=2.0, intervals="exponential", node=0, variable=1, text="{n}")
     random = Scenario(nodes=1, duration_s=3600.0, events=(workload,))
-    # The first one is at the start.
-    counts = [len(msgspec.structs.replace(random, seed=seed).timeline()) - 1.0 for seed in numbers]
+    # The first one is at the start. Only the times are drawn, so there can be many seeds.
+    counts = [len(msgspec.structs.replace(random, seed=seed).timeline()) - 1.0 for seed in range(100)]
     yield Row("random updates in an hour, one in 2 s", 1800, counts, 0, math.sqrt(1800 / len(counts)))
 
 

@@ -146,9 +146,11 @@ def _settings(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ..
     metavar="FILE",
     help="Write a row for each value and each node at which it was due: .csv, or .parquet (extra 'table').",
 )
+@click.option("--ages", is_flag=True, help="Measure the mean age of state reports, which takes longer.")
 def command(
     scenario: str | None,
     as_json: bool,
+    ages: bool,
     record: Path | None,
     record_medium: Path | None,
     values: Path | None,
@@ -173,6 +175,8 @@ def command(
         simulation = Simulation(played, record=record, record_medium=record_medium)
         if values is not None:
             simulation.measurements.values.keep_receptions()
+        if ages:
+            simulation.measure_ages()
     except ScenarioError as error:
         raise ExpectedError(f"{scenario or 'simulation'}: {error}") from None
     except LinkError as error:

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from dcp_stack.sim.measuring import DelayRow, ValueTotals, VariableConsistency
+from dcp_stack.sim.measuring import AgeRow, DelayRow, ValueTotals, VariableConsistency
 
 from .agreement import Convergence
 from .definition import NS_PER_S
@@ -55,6 +55,8 @@ class Report(msgspec.Struct):
     delays: list[DelayRow] = []
     """Empty for testbeds, where the arrival of values cannot be observed."""
     consistency: list[VariableConsistency] = []
+    ages: list[AgeRow] = []
+    """Empty unless they were measured (``--ages``)."""
     shares: dict[str, float] = {}
     """Frames delivered, lost, duplicated and missed, as shares of ``expected``."""
     expected: int = 0
@@ -105,6 +107,10 @@ def lines(report: Report) -> Iterator[str]:
     yield from _convergences(report.convergences)
     yield from _traffic(report)
     yield from _values(report)
+    if report.ages:
+        seconds = sum(each.seconds for each in report.ages)
+        mean = sum(each.mean_ms * each.seconds for each in report.ages) / seconds
+        yield f"reports    mean age {mean:.1f} ms at {len(report.ages)} pairs of node and neighbour"
     if report.shares:
         numbers = (f"{round(share * report.expected)} {name} ({share:.2%})" for name, share in report.shares.items())
         yield f"medium     {report.expected} deliveries to neighbours: {', '.join(numbers)}"

@@ -14,10 +14,10 @@ from msgspec.structs import astuple
 from dcp_codec.analysis.vantage_point import MEDIUM
 from dcp_codec.codec import Codec
 from dcp_stack.control.client import ServiceError
-from dcp_stack.effects import VariableChanged
+from dcp_stack.effects import NeighbourExpired, NeighbourSeen, VariableChanged
 from dcp_stack.links.recording import Recorder
 from dcp_stack.positions import SourceError, open_source
-from dcp_stack.sim.measuring import Measurements
+from dcp_stack.sim.measuring import Ages, Measurements
 from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
 from dcp_stack.sim.scenario.definition import (
     NS_PER_S,
@@ -92,9 +92,10 @@ class Simulation:
         self._problems: list[str] = []
         period = scenario.bp.beacon_period_ms * 1_000_000
         queued = scenario.vardis_config.bp_queue_entries if scenario.vardis_config is not None else 1
+        self._numbers = {station.config.node_id: station.index for station in self.network.stations}
         self.measurements = Measurements(
             self.network.medium,
-            {station.config.node_id: station.index for station in self.network.stations},
+            self._numbers,
             warm_up=scenario.warm_up,
             # Twice the time of the payloads before it, for jitter and for beacons that other clients fill. One of 10^9
             # exponential intervals is longer than 20 periods.
@@ -102,8 +103,16 @@ class Simulation:
         )
         self._before = Traffic.of(self.network)
         self._own_quality: set[tuple[int, int]] = set()
+        self.ages: Ages | None = None
+        """See :meth:`measure_ages`."""
         self._plan()
         self._record(record, record_medium)
+
+    def measure_ages(self) -> None:
+        """Measure the ages of state reports, which takes the fast path from the nodes. Call it before :meth:`run`."""
+        self.ages = Ages(self.scenario.warm_up)
+        self.network.listen(NeighbourSeen, self._seen)
+        self.network.listen(NeighbourExpired, self._expired)
 
     # -- running -------------------------------------------------------------------------------------------------------
 
@@ -258,6 +267,8 @@ class Simulation:
     def _switch_off(self, node: int) -> None:
         """Stop a node, and exclude it from the measurements."""
         self.measurements.off(self.network.now, node)
+        if self.ages is not None:
+            self.ages.lost(self.network.now, node)
         self.network.stop(node)
         self._refresh(node)
 
@@ -291,6 +302,21 @@ class Simulation:
             self.agreement.learn(index, effect.var_id, Known(effect.prod_id, created, entry.seqno, entry.value))
             self.measurements.stored(now, index, effect.var_id, entry, self.network.delivering, effect.event)
         self._look()
+
+    def _seen(self, now: int, index: int, effect: NeighbourSeen) -> None:
+        """Pass a received state report to the measurement of ages."""
+        node, neighbour = self.network.stations[index].node, self._numbers.get(effect.node_id)
+        if self.ages is None or node is None or node.srp is None or neighbour is None:
+            return
+        entry = node.srp.neighbours.lookup(effect.node_id)
+        if entry is not None:
+            # Profiles whose stamps cannot be compared count from the reception.
+            self.ages.heard(now, index, neighbour, node.srp.neighbours.delay(entry) or 0)
+
+    def _expired(self, now: int, index: int, effect: NeighbourExpired) -> None:
+        """Pass the end of an entry of a neighbour table to the measurement of ages."""
+        if self.ages is not None and (neighbour := self._numbers.get(effect.node_id)) is not None:
+            self.ages.lost(now, index, neighbour)
 
     def _warmed_up(self) -> None:
         """Restart traffic counters and consistency at the end of the warm-up."""
@@ -357,6 +383,7 @@ class Simulation:
             values=totals,
             delays=self.measurements.values.rows(),
             consistency=self.measurements.consistency.found(self.network.now),
+            ages=[] if self.ages is None else self.ages.found(self.network.now),
             shares={name: number / total for name, number in shares.items() if number or name == "delivered"},
             expected=medium.expected,
             digest=self.network.digest.hexdigest(),
