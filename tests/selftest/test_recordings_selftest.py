@@ -32,7 +32,7 @@ def test_the_same_network_is_the_same_recording():
 
 
 def test_links_of_a_line_are_those_of_neighbours():
-    run = judged(record(NetworkSituation(shape="line", seconds=40.0, busy=1.0, seed=3)), "dcp-2.0")
+    run = judged(record(NetworkSituation(shape="line", seconds=80.0, busy=1.0, seed=3)), "dcp-2.0")
     assert findings(run) == []
     told = [each.observed for each in case_of(run, "CK_NET_HEARS").checks if " hears " in each.observed]
     names = [identifier("dcp-2.0", index).hex(":") for index in range(5)]
