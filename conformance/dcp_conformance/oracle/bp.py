@@ -48,7 +48,9 @@ class Client(msgspec.Struct):
     again: bool = False
     """Whether the identifier was registered before."""
     told: int = 0
-    """Transmissions without their notification."""
+    """Transmissions without their notification; negative if notifications came before their beacons."""
+    untold: list[int] = msgspec.field(default_factory=list)
+    """Times of these transmissions, ns."""
     left: set[bytes] = msgspec.field(default_factory=set)
     """Payloads that must not be sent any more: cleared, displaced, discarded or sent."""
     stamp: int | None = None
@@ -425,6 +427,8 @@ class BPModel:
 
     def _sent(self, client: Client, octets: bytes, time: int) -> Iterator[Finding]:
         client.told += 1
+        if client.told > 0:
+            client.untold.append(time)
         if client.possible is None:
             return
         after: set[Content] = set()
@@ -562,12 +566,22 @@ class BPModel:
         for each in self.deliveries:
             each.must = each.must and each.time >= limit
 
+    def unconfirmed(self, time: int) -> Iterator[Finding]:
+        """Yield a finding for a payload in a beacon without its BP-PayloadTransmitted.indication by ``time``."""
+        limit = time - self.timing.late - self.timing.notice
+        for client in self.clients.values():
+            if client.untold and client.untold[0] < limit and not self.timing.lossy:
+                which = ("BP-PTI-03", "BP-PTI-01") if client.mode is _Q.REPEAT else ("BP-PTI-01",)
+                yield Finding(which, f"an indication of each transmission to {client.prot_id}", "none of one of them")
+            client.untold = [each for each in client.untold if each >= limit]
+
     def transmitted(self, prot_id: int) -> Iterator[Finding]:
         """Judge a BP-PayloadTransmitted.indication about a client of the tester."""
         client = self.clients.get(prot_id)
         if client is None or client.possible is None or self.timing.lossy:
             return
         client.told -= 1
+        del client.untold[:1]
         if client.told < 0 and not self.timing.flight:
             yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.told = 0

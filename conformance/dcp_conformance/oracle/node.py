@@ -391,6 +391,8 @@ class NodeModel:
         """Judge what should have come by ``time``. ``notified``: whether the tester gets notifications."""
         if notified:
             yield from self.bp.undelivered(time)
+            if self.codec.profile.behaviour.payload_transmitted_indication:
+                yield from self.bp.unconfirmed(time)
         self.srp.expire(time)
         yield from self.bp.silent(self._last, time)
         if self.headers + self.vardis.room.most > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):

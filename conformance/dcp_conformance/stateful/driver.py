@@ -96,7 +96,6 @@ class Driver:
         self._handed = 0
         self._seqnos: Counter[int] = Counter()
         self._unsettled = False
-        self._notifies = executor.codec.profile.behaviour.payload_transmitted_indication
         self.protocols: dict[int, int] = {}
         """The protocol identifiers of this run, by the numbers of the sequence."""
         self.initial = dict(self.model.values)
@@ -418,6 +417,8 @@ class Driver:
                 lies = {"bp.numPayloads": 0}
             case "network" if network is not None:
                 network = (network + 1) % (1 << (8 * profile.types.network_id.width))
+            case "network-high" if network is not None and profile.types.network_id.width > 1:
+                network ^= 1 << 8
             case "" | "own-sender":
                 pass
             case _:
@@ -442,7 +443,7 @@ class Driver:
             case "summary":
                 return fill(VarSumm(var_id, seqno))
             case "update":
-                return fill(VarUpdate(var_id, seqno, self._octets(each.size)))
+                return fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again)))
         fields = profile.vardis.var_spec
         producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]
         longest = (1 << 8 * profile.types.var_timeout.width) - 1
@@ -454,7 +455,7 @@ class Driver:
             names.creation(each.creation) if "creationTime" in fields else None,
             min(each.timeout, longest) if "timeout" in fields else None,
         )
-        return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size)))))
+        return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again)))))
 
     def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
         codec = self.executor.codec
@@ -469,7 +470,8 @@ class Driver:
         }
         names = self.executor.names
         stamp = names.creation(0 if earlier else 1 + self._mark % 7)
-        return ExtendedSafetyData(kind(**data), names.neighbour(number)[0], stamp, seqno)
+        node_id = self.executor.own_id if number == OWN else names.neighbour(number)[0]
+        return ExtendedSafetyData(kind(**data), node_id, stamp, seqno)
 
     def _state(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of the state of the model that a service depends on."""

@@ -86,7 +86,9 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "several": st.booleans(),
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
-_FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
+_FAULTS: Final = st.sampled_from(
+    (*("",) * 24, "version", "magic", "network", "network-high", "own-sender", "no-length", "no-payloads")
+)
 _AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
@@ -325,8 +327,10 @@ class NodeMachine(RuleBasedStateMachine):
     )
     def payload(self, sender: int, number: int, size: int, count: int, again: bool, fault: Any) -> None:
         """Send payloads to a client protocol, several times in faulty beacons."""
+        # An empty block does not hide the next one.
+        beside = (Client(number, 4),) if not size else ()
         for _ in range(4 if fault else 1):
-            self.take(Beacon(sender, (Client(number, size, count, again),), fault))
+            self.take(Beacon(sender, (Client(number, size, count, again), *beside), fault))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -416,7 +420,7 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.has("SRP-NeighbourTable"),
         sender=NEIGHBOURS,
-        neighbour=st.sampled_from((0, 1, 2, 3)),
+        neighbour=st.sampled_from((0, 0, 1, 2, 3, OWN)),
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
         earlier=st.sampled_from((False, False, False, True)),
@@ -424,7 +428,7 @@ class NodeMachine(RuleBasedStateMachine):
     )
     def report(self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, fault: Any) -> None:
         """Send state reports."""
-        self.take(Beacon(sender, (Report(neighbour, seqno, count, earlier),), fault))
+        self.take(Beacon(sender, (Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier),), fault))
 
     # -- VarDis ----------------------------------------------------------------------------------------------
 
@@ -484,6 +488,7 @@ class NodeMachine(RuleBasedStateMachine):
                 st.sampled_from((1, 1, 1, 2, "quarter", "most")),
                 st.sampled_from((1, 1, "most", "most")),
                 _TIMEOUTS,
+                _AGAIN,
             ),
             min_size=1,
             max_size=3,
@@ -493,12 +498,16 @@ class NodeMachine(RuleBasedStateMachine):
     def records(self, sender: int, number: int, events: list[Any], fault: Any) -> None:
         """Send instructions, mostly about one variable, each with at most one flaw."""
         blocks = [
-            self._record(event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout)
-            for event, further, far, repetitions, timeout in events
+            self._record(
+                event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout, again
+            )
+            for event, further, far, repetitions, timeout, again in events
         ]
         self.take(Beacon(sender, tuple(blocks), fault))
 
-    def _record(self, event: str, number: int, far: int | str, repetitions: int, timeout: int) -> Records:
+    def _record(
+        self, event: str, number: int, far: int | str, repetitions: int, timeout: int, again: bool = False
+    ) -> Records:
         """Return a record that is related as ``event`` says to what the node holds.
 
         ``far``: distance of its number on the circle.
@@ -522,7 +531,7 @@ class NodeMachine(RuleBasedStateMachine):
             repetitions = 0 if what == "repCnt 0" else self._limit("above", "REPETITIONS")
         return Records(
             cast("RecordKind", kind), number, 1, seqno % circle, self._limit(size, "VALUE_LENGTH"),
-            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, earlier, timeout,
+            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, earlier, timeout, again,
         )  # fmt: skip
 
     @action(

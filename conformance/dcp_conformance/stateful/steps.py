@@ -11,10 +11,11 @@ from typing import Any, Final, Literal
 import msgspec
 
 RecordKind = Literal["create", "delete", "update", "summary", "ask-update", "ask-create"]
-Fault = Literal["", "version", "magic", "network", "own-sender", "no-length", "no-payloads"]
+Fault = Literal["", "version", "magic", "network", "network-high", "own-sender", "no-length", "no-payloads"]
 #: The requirement by which a receiver discards a beacon with each fault.
 FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
-    "version": ("BP-RX-01",), "magic": ("BP-RX-02",), "network": ("BP-RX-05",), "own-sender": ("BP-RX-06",),
+    "version": ("BP-RX-01",), "magic": ("BP-RX-02",), "network": ("BP-RX-05",), "network-high": ("BP-RX-05",),
+    "own-sender": ("BP-RX-06",),
     "no-length": ("BP-RX-03",), "no-payloads": ("BP-RX-04",),
 }  # fmt: skip
 #: Parameter of a call: its octets are those of the call or payload before.
@@ -47,6 +48,8 @@ class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):
     creation: int = 0
     """Creation times are in the order of these numbers; 8 and more are an hour ahead."""
     timeout: int = 0
+    again: bool = False
+    """Whether the octets of the value are those of the record or payload before."""
 
 
 class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
@@ -102,12 +105,13 @@ def _block(block: Records | Report | Client) -> str:
         several = f"{block.count} times " if block.count > 1 else ""
         return f"{several}{block.size} octets for protocol {block.protocol}{', as before' if block.again else ''}"
     if isinstance(block, Report):
-        who = str(block.neighbour) if block.count == 1 else f"{block.neighbour} to {block.neighbour + block.count - 1}"
-        return f"report of neighbour {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}"
+        last = "" if block.count == 1 else f" to {block.neighbour + block.count - 1}"
+        who = "the node itself" if block.neighbour == OWN else f"neighbour {block.neighbour}{last}"
+        return f"report of {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}"
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):
-        more += f", {block.size} octets"
+        more += f", {block.size} octets{', as before' if block.again else ''}"
     if block.kind == "create":
         producer = "the node itself" if block.producer == OWN else f"neighbour {block.producer}"
         more += f", descr {block.descr} octets, repCnt {block.repetitions}, created by {producer} at {block.creation}"
