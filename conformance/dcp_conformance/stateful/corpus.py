@@ -11,7 +11,7 @@ from importlib import resources
 
 import msgspec
 
-from .steps import Call, Step, Wait
+from .steps import Call, Records, Report, Step, Wait
 
 #: A parameter on which the times of the tester depend.
 _PERIOD = "BPPAR_BEACON_PERIOD"
@@ -59,7 +59,11 @@ def usable(steps: tuple[Step, ...], longest: float) -> bool:
         sum(each.periods for each in steps if isinstance(each, Wait)) <= longest
         and all(not isinstance(each, Call) or each.params.get("name") != _PERIOD for each in steps)
         and sum(each.times for each in steps if isinstance(each, Call)) <= 400
-        and not any(getattr(block, "count", 1) > _TOGETHER for each in steps for block in getattr(each, "blocks", ()))
+        and not any(
+            isinstance(block, Records | Report) and block.count > _TOGETHER
+            for each in steps
+            for block in getattr(each, "blocks", ())
+        )
     )
 
 
