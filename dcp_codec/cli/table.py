@@ -32,8 +32,7 @@ def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]
 
 def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     """Refuse tables that no recording of that profile can have; a profile may define record types."""
-    from dcp_codec.table.holdings import HOLDINGS
-    from dcp_codec.table.kernel.shape import TABLES, table_names
+    from dcp_codec.table.kernel.shape import HOLDINGS, TABLES, table_names
 
     known = (*(TABLES if profile == "auto" else table_names(load_codec(profile).profile)), HOLDINGS)
     for name in names or ():

@@ -22,10 +22,9 @@ from dcp_codec.codec import get_codec
 from dcp_codec.common.atomic_write import rename_durably, sync_tree
 from dcp_codec.common.workers import WorkerLostError, completed
 
-from .holdings import HOLDINGS
 from .job import Advance, Job, Outcome, TableError, run
 from .kernel.jit import COMPILING, LOG, announce
-from .kernel.shape import ERRORS, Shape
+from .kernel.shape import ERRORS, HOLDINGS, Shape
 from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]

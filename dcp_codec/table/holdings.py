@@ -18,8 +18,6 @@ from dcp_codec.framing.locate import OtherTraffic, locate
 
 from .columns import TIME
 
-HOLDINGS: Final = "holdings"
-
 _TEXT = pa.dictionary(pa.int32(), pa.string())
 #: Type, whether it can be null, and meaning of each column.
 _COLUMNS: dict[str, tuple[pa.DataType, bool, str]] = {

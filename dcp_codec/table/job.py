@@ -17,8 +17,9 @@ from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
 
 from .decoding import ColumnDecoder, worth_compiling
-from .holdings import HOLDINGS, read_holdings
+from .holdings import read_holdings
 from .input.sources import Recording
+from .kernel.shape import HOLDINGS
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
 #: Number of frames that are examined to describe the traffic of a recording without beacons.

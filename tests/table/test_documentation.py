@@ -18,7 +18,8 @@ from dcp_codec.report.analysis import time_of
 from dcp_codec.report.holding import holding
 from dcp_codec.report.recorded import gather
 from dcp_codec.table import ColumnDecoder
-from dcp_codec.table.holdings import HOLDINGS, HOLDINGS_SCHEMA
+from dcp_codec.table.holdings import HOLDINGS_SCHEMA
+from dcp_codec.table.kernel.shape import HOLDINGS
 
 pytestmark = pytest.mark.part("tables")
 

@@ -72,11 +72,14 @@ class VardisModel(Oracle):
     def __init__(self, own_id: bytes, features: Features, width: int, limits: Limits, room: Room, **times: Any) -> None:
         """``width``: octets of a sequence number. ``times``: as for :class:`~.model.Model`."""
         self.late: int = times.pop("late", 0)
-        self._whole: bool = times.pop("whole", False)
+        spare: int = times.pop("spare", 0)
+        self._in_order: bool = times.pop("in_order", True)
+        """Whether calls are so quick that the order of queues can be judged."""
         self._lossy: bool = times.pop("lossy", False)
         self._scrubs: bool | None = times.pop("scrubs", None)
         """Whether the node scrubs the variables of others (X26); None if neither is known."""
         super().__init__(own_id, features, width, limits, **times)
+        self.spare = spare
         self.room = room
         self.active = True
         self.switched = -(1 << 62)
@@ -408,12 +411,14 @@ class VardisModel(Oracle):
                 twice = next(each for each in ids if ids.count(each) > 1)
                 yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
         roomy = octets + self._needs(_CREATES) + self.room.header <= min(self.room.most, self.room.registered)
-        waited = max(0, time - self._latency - since)
+        # A received payload may be processed later.
+        waited = max(0, time - self._latency - since) + self.late
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
         for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited):
             yield Finding(self._named(each.requirement, each.var_id), each.expected, each.observed)
         if not self._lossy:
-            yield from self._ordered(groups, since, owed)
+            if self._in_order:
+                yield from self._ordered(groups, since, owed)
             yield from self._missing(groups, octets, since)
             yield from self._unsummarised(groups.get(_SUMMARIES, ()), octets, since)
         for kind, record in records:

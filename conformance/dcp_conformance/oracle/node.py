@@ -109,7 +109,8 @@ class NodeModel:
         return VardisModel(
             self.own_id, self._features, profile.types.var_seqno.width, limits, room,
             latency=timing.flight, window=max(timing.patience, 8 * timing.period) + timing.late, late=timing.late,
-            lossy=timing.lossy, whole=timing.whole,
+            spare=-(-timing.late // timing.period),
+            lossy=timing.lossy, in_order=timing.flight <= 3 * timing.period,
             scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
             scrubs=None if declared is None else declared == "every-node",
         )  # fmt: skip

@@ -41,6 +41,8 @@ class Oracle(Model):
     def __init__(self, *args: Any, **times: Any) -> None:
         """Arguments as for :class:`Model`."""
         super().__init__(*args, **times)
+        self.spare = 0
+        """Number of payloads that may be sent before a received one is processed, beside those on their way."""
         self._roomy: list[int] = []
         """Times (ns) of payloads that had room for another instruction."""
 
@@ -227,7 +229,7 @@ class Oracle(Model):
         key = key_of(kind, seqno)
         self.occasions["VD-SCP-02"] += 1
         count, allowed = variable.repetitions.count(key)
-        if count > allowed:
+        if count > allowed + self.spare:
             expected = f"no {kind.label} about variable {var_id}"
             if allowed:
                 expected = f"{kind.label} about variable {var_id} in at most {_beacons(allowed)}"

@@ -95,7 +95,8 @@ class Driver:
         self._mark = 0
         self._handed = 0
         self._seqnos: Counter[int] = Counter()
-        self._unsettled = False
+        self._sent = -(1 << 62)
+        """Time of the last frame, ns."""
         self.protocols: dict[int, int] = {}
         """The protocol identifiers of this run, by the numbers of the sequence."""
         self.initial = dict(self.model.values)
@@ -165,7 +166,6 @@ class Driver:
         for event in self.executor.wait(duration):
             self._take(event)
         self._alive()
-        self._unsettled = False
         self._judge(self.model.passed(self.executor.now(), notified=bool(self.protocols)))
 
     def _take(self, event: Event) -> None:
@@ -176,10 +176,10 @@ class Driver:
 
     def _settle(self) -> None:
         """Wait until the node has processed the frames that were sent, before a service depends on them."""
-        if not self._unsettled:
-            return
         timing = self.executor.timing
-        self._wait(timing.late + timing.flight)
+        left = self._sent + timing.late + timing.flight - self.executor.now()
+        if left > 0:
+            self._wait(left)
 
     def _alive(self) -> None:
         if why := self.executor.died():
@@ -338,7 +338,7 @@ class Driver:
             time = executor.now()
             executor.send(octets, address, len(blocks))
             self.model.received([(each.protocol_id, each.octets) for each in blocks], time, forbidden)
-            self._unsettled = True
+            self._sent = time
             self._alive()
         if not executor.looks:
             return

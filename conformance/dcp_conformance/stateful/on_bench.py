@@ -134,7 +134,15 @@ class BenchExecutor:
     def wait(self, duration: int) -> list[Event]:
         """Let time pass, and return what came since the last call."""
         bench = self._bench
-        bench.waiting.wait_ns(duration)
+        left = duration
+        while True:
+            # Notifications are read along with frames, and there may be no more frames.
+            part = min(left, self.timing.period)
+            bench.waiting.wait_ns(part)
+            bench.receiver.take_notifications()
+            left -= part
+            if left <= 0:
+                break
         heard, told = bench.heard[self._beacons :], bench.receiver.notifications[self._notifications :]
         self._beacons, self._notifications = len(bench.heard), len(bench.receiver.notifications)
         events = [Event(each.time, each.octets) for each in heard]

@@ -30,6 +30,8 @@ TABLE_NAMES = {
 }
 #: The table of frames that are not valid beacons of the profile; it has the same columns for every profile.
 ERRORS = "errors"
+#: The table of the states of variables at nodes, from the ledger.
+HOLDINGS = "holdings"
 TABLES = (*TABLE_NAMES.values(), ERRORS)
 
 

@@ -72,7 +72,7 @@ class Watcher:
             self.requirements[place] = fitting[0].requirement
         self._judge(model.judge(step.call, params, expected, answer.status, answer.code))
         if step.call == "RTDB-Create" and answer.ok:
-            model.created(params, wall, time)
+            self._judge(model.created(params, wall, time))
         result = answer.result | {"status": answer.status}
         self._judge(model.confirmed(step.call, params, result, (time, wall), (time, wall)))
 

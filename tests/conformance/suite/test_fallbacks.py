@@ -34,7 +34,7 @@ TOLD = Testing(
     scrubbing_period_ms=1000,
 )
 #: Cases about setting parameters, or about an effect that only another value than the configured one has.
-NOT_DECIDED = 103
+NOT_DECIDED = 88
 
 
 def one(case_id: str, pixit: Testing = TOLD, **how: Any) -> CaseResult:
@@ -51,7 +51,7 @@ def test_cases_that_are_not_applicable_without_parameters():
         for before, after in results
         if before.verdict is not Verdict.NOT_APPLICABLE and after.verdict is Verdict.NOT_APPLICABLE
     ]
-    assert len(lost) <= NOT_DECIDED
+    assert len([each for each in lost if not each.startswith("TC_DCP_MODEL")]) <= NOT_DECIDED
     setting = (
         *(
             "_PAR_",
