@@ -149,3 +149,15 @@ def test_a_beacon_on_its_way_may_have_all_payloads_of_a_client(several: bool, al
         result = {"status": "BP-STATUS-OK", "number": number}
         found = [each for method, params in confirms for each in model.confirmed(method, params, result, 1)]
         assert bool(found) is (number not in allowed)
+
+
+@pytest.mark.req("BP-PTI-01")
+def test_notifications_of_a_client_whose_queue_is_unknown_count() -> None:
+    timing = Timing(period=20 * MS, flight=15 * MS, notice=50 * MS)
+    model = Driver(VirtualExecutor(CONFIG, timing=timing)).model.bp
+    ok = {"status": "BP-STATUS-OK"}
+    assert not list(model.confirmed("BP-RegisterProtocol", registering(3).params | {"name": "x"}, ok, 1))
+    model.unknown_outcome("BP-TransmitPayload", {"protId": 0})
+    assert not list(model.beacon([(0, b"1234")], 40, None, 2))
+    assert not list(model.transmitted(0))
+    assert not list(model.unconfirmed(10_000 * MS))

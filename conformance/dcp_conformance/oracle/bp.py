@@ -578,11 +578,11 @@ class BPModel:
     def transmitted(self, prot_id: int) -> Iterator[Finding]:
         """Judge a BP-PayloadTransmitted.indication about a client of the tester."""
         client = self.clients.get(prot_id)
-        if client is None or client.possible is None or self.timing.lossy:
+        if client is None or self.timing.lossy:
             return
         client.told -= 1
         del client.untold[:1]
-        if client.told < 0 and not self.timing.flight:
+        if client.told < 0 and client.possible is not None and not self.timing.flight:
             yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.told = 0
 
