@@ -62,7 +62,7 @@ def test_a_report_of_a_sanitizer_is_named_and_the_output_is_kept(tmp_path):
     """Its last lines say less than its summary, and the file has all of it."""
     report = "==7==ERROR: AddressSanitizer: stack-buffer-overflow\\n" + "frame\\n" * 40
     report += "SUMMARY: AddressSanitizer: stack-buffer-overflow node.c:12 in rx_create\\n" + "shadow\\n" * 40
-    # It must not end before start() has looked at it.
+    # The process must not end before start() has checked it.
     started = tmp_path / "started"
     waiting = f"import os, sys\nwhile not os.path.exists({str(started)!r}): pass\n"
     words = [sys.executable, "-c", f"{waiting}sys.stderr.write('{report}==7==ABORTING'); sys.exit(1)"]
