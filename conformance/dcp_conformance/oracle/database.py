@@ -65,6 +65,11 @@ class Room:
         self.former: list[tuple[int, int, int]] = []
         """Former values of size and summaries, with the times of their changes, ns."""
 
+    @property
+    def limit(self) -> int:
+        """The largest payload in octets that the parameter and the registration with BP allow."""
+        return min(self.most, self.registered)
+
 
 class VardisModel(Oracle):
     """The VarDis entity of one node. Only the variables in ``mine`` are judged."""
@@ -410,7 +415,7 @@ class VardisModel(Oracle):
             if len(set(ids)) < len(ids) and self.mine.intersection(ids):
                 twice = next(each for each in ids if ids.count(each) > 1)
                 yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
-        roomy = octets + self._needs(_CREATES) + self.room.header <= min(self.room.most, self.room.registered)
+        roomy = octets + self._needs(_CREATES) + self.room.header <= self.room.limit
         # A received payload may be processed later.
         waited = max(0, time - self._latency - since) + self.late
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
@@ -419,8 +424,10 @@ class VardisModel(Oracle):
         if not self._lossy:
             if self._in_order:
                 yield from self._ordered(groups, since, owed)
-            yield from self._missing(groups, octets, since)
-            yield from self._unsummarised(groups.get(_SUMMARIES, ()), octets, since)
+            if not former:
+                free = self.room.limit - octets - self.room.header
+                yield from self._missing(groups, free, since)
+                yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
             key = kind, _var_id(record)
             if due := self._due.get(key):
@@ -481,18 +488,18 @@ class VardisModel(Oracle):
                 break
             self._order.sent(kind, ids, since)
 
-    def _missing(self, groups: Mapping[ICType, list[VardisRecord]], octets: int, since: int) -> Iterator[Finding]:
-        """Yield a finding for a record that must be in this payload: it was queued before, and any record would fit."""
-        free = min(self.room.most, self.room.registered) - octets
-        if any(changed >= since for changed, _, _ in self.room.former):
-            return
+    def _missing(self, groups: Mapping[ICType, list[VardisRecord]], free: int, since: int) -> Iterator[Finding]:
+        """Yield a finding for a record that must be in this payload: it was queued before, and any record would fit.
+
+        ``free``: octets for records in one more container.
+        """
         for (kind, var_id), due in self._due.items():
             variable, there = self.variables[var_id], groups.get(kind, ())
             if var_id not in self.mine or variable.uncertain or variable.due != NEVER:
                 continue
             if any(_var_id(each) == var_id for each in there) or len(there) >= 255:
                 continue
-            if max(due.time, variable.settled) + self.late >= since or self._needs(kind) + self.room.header > free:
+            if max(due.time, variable.settled) + self.late >= since or self._needs(kind) > free:
                 continue
             if kind in (_CREATES, _UPDATES) and not self._features.receive_checks_too_long:
                 # The head of the queue may have any size, and hold up the others.
@@ -506,18 +513,16 @@ class VardisModel(Oracle):
             yield Finding(which, f"{kind.label} of variable {var_id} in this payload, which has room", "none")
             return
 
-    def _unsummarised(self, there: Sequence[VardisRecord], octets: int, since: int) -> Iterator[Finding]:
+    def _unsummarised(self, there: Sequence[VardisRecord], free: int, since: int) -> Iterator[Finding]:
         """Yield a finding for a variable that several payloads with room for its summary lack."""
-        free = min(self.room.most, self.room.registered) - octets
-        if any(changed >= since for changed, _, _ in self.room.former):
-            return
         # Variables that were deleted may take a place in one payload.
-        full = len(there) >= self.room.summaries or self._needs(_SUMMARIES) + self.room.header > free
+        if len(there) >= self.room.summaries or self._needs(_SUMMARIES) > free:
+            self._absent.clear()
+            return
         ids = {_var_id(each) for each in there}
         for var_id in self.mine:
             variable = self.variables.get(var_id)
-            now = None if variable is None else variable.now
-            if variable is None or now is None or full or var_id in ids or now.state != "alive":
+            if variable is None or var_id in ids or variable.now.state != "alive":
                 self._absent.pop(var_id, None)
             elif self._alive_since(variable, since - self.late):
                 self._absent[var_id] = self._absent.get(var_id, 0) + 1
@@ -545,7 +550,7 @@ class VardisModel(Oracle):
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
                 return
         former = self.room.former[-1][0] if self.room.former else 0
-        fits = self._needs(_SUMMARIES) + self.room.header <= min(self.room.most, self.room.registered)
+        fits = self._needs(_SUMMARIES) + self.room.header <= self.room.limit
         if not fits or not self.room.summaries or former > time - self._window or self.switched > time - self._window:
             return
         for var_id in self.mine:

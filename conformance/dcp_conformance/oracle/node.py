@@ -319,7 +319,7 @@ class NodeModel:
             for each in records:
                 self.vardis.why[_variable(each)] = closed
             return
-        if len(octets) > min(self.vardis.room.most, self.vardis.room.registered):
+        if len(octets) > self.vardis.room.limit:
             # X49: a payload that is larger than the receiver's own may be discarded.
             for each in records:
                 creation = each.spec.creation_time or 0 if isinstance(each, VarCreate) else NO_CREATION

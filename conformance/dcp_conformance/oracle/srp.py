@@ -177,12 +177,10 @@ class SRPModel:
         if not mine:
             return
         this = mine[-1]
-        if len(mine) > 1 and not self._once:
-            return
         if len(mine) > 1:
             # Of several submissions of the same data, the sequence number shows which it is.
             before = next((each for each in reversed(self.handed) if each.seqno is not None), None)
-            if before is None or before.seqno is None:
+            if not self._once or before is None or before.seqno is None:
                 return
             if before.seqno == report.seqno and before in mine and this.time < time - self.timing.flight:
                 yield Finding(("SRP-TYP-06", "SRP-SEQ-01"), f"another number than {before.seqno}", str(report.seqno))

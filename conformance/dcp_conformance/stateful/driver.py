@@ -354,12 +354,12 @@ class Driver:
         model = self.model
         about = f", {step.fault}" if step.fault else ""
         for kind, group in groupby(step.blocks, key=lambda each: each.kind if isinstance(each, Records) else None):
-            # Neighbouring records of one kind are in one container.
-            together = list(group)
-            if kind is not None and self.executor.hears_vardis:
-                records = [each for each in together if isinstance(each, Records)]
-                yield from self._record_blocks(records, step, blocks)
-            for each in together:
+            if kind is not None:
+                # Neighbouring records of one kind are in one container.
+                if self.executor.hears_vardis:
+                    yield from self._record_blocks(group, step, blocks)
+                continue
+            for each in group:
                 if isinstance(each, Client):
                     prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
                     self._count(model.bp.client_state(prot_id), f"payload{about}")
@@ -375,13 +375,14 @@ class Driver:
         if blocks:
             yield blocks
 
-    def _record_blocks(self, records: list[Records], step: Beacon, blocks: list[Block]) -> Iterator[list[Block]]:
+    def _record_blocks(self, blocks_of: Iterable[Any], step: Beacon, blocks: list[Block]) -> Iterator[list[Block]]:
+        """As :meth:`_beacons`, for :class:`Records` of one kind."""
         model = self.model
-        most = min(model.vardis.room.most, model.vardis.room.registered)
+        most = model.vardis.room.limit
         group: list[VardisRecord] = []
         used = self._builder.container_header_size
         for each, number in (
-            (one, number) for one in records for number in range(one.variable, one.variable + one.count)
+            (one, place) for one in blocks_of for place in range(one.variable, one.variable + one.count)
         ):
             record = self._record(each, number)
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id

@@ -521,17 +521,18 @@ class NodeMachine(RuleBasedStateMachine):
         if kind == "create":
             latest = NO_CREATION if known is None else known.latest
             later = next((each for each in _CREATIONS if names.creation(each) > latest), _CREATIONS[-1])
-            earlier = max(later - 1, 0) if what == "same" else max(later - 2, 0) if what == "earlier" else later
+            creation = max(later - {"same": 1, "earlier": 2}.get(what, 0), 0)
             seqno = {1: 0, 2: 1}.get(distance, circle - 1)
         else:
             seqno += {"newer": distance, "older": -distance, "opposite": circle // 2, "equal": 0}.get(what, distance)
-            later = earlier = 0
+            creation = 0
         size, descr = _FLAWS.get(what, (2, 3))
         if what.startswith("repCnt"):
             repetitions = 0 if what == "repCnt 0" else self._limit("above", "REPETITIONS")
         return Records(
             cast("RecordKind", kind), number, 1, seqno % circle, self._limit(size, "VALUE_LENGTH"),
-            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, earlier, timeout, again,
+            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, creation, timeout,
+            again,
         )  # fmt: skip
 
     @action(
