@@ -145,38 +145,27 @@ def test_pure_aloha():
     assert report.shares["overlapped"] == pytest.approx(1 - theory, abs=0.01)
 
 
+def beacon_intervals(intervals: Any, seconds: float) -> list[int]:
+    """Return the intervals in ns between the beacons of a node that always has something to send."""
+    moments: list[int] = []
+    create = Create(at_s=0.2, node=0, variable=1, text="x")
+    bp = BPConfig(intervals=intervals)
+    simulation = Simulation(Scenario(nodes=1, duration_s=seconds, srp=False, bp=bp, events=(create,)))
+    simulation.network.stations[0].watchers.append(Watcher(simulation, moments))
+    simulation.run()
+    return [after - before for before, after in pairwise(moments)]
+
+
 class TestIntervals:
     def test_exponential_beacon_intervals(self):
         """Their coefficient of variation is 1, and the mean is the period."""
-        moments: list[int] = []
-        scenario = Scenario(
-            nodes=1,
-            duration_s=400,
-            srp=False,
-            bp=BPConfig(intervals="exponential"),
-            events=(Create(at_s=0.2, node=0, variable=1, text="x"),),
-        )
-        simulation = Simulation(scenario)
-        simulation.network.stations[0].watchers.append(Watcher(simulation, moments))
-        simulation.run()
-        found = [(after - before) / 1e9 for before, after in pairwise(moments)]
+        found = [each / 1e9 for each in beacon_intervals("exponential", 400)]
         assert len(found) > 3000
         assert statistics.fmean(found) == pytest.approx(0.1, rel=4 / math.sqrt(len(found)))
         assert statistics.stdev(found) == pytest.approx(0.1, rel=0.08)
 
     def test_fixed_beacon_intervals(self):
-        moments: list[int] = []
-        scenario = Scenario(
-            nodes=1,
-            duration_s=5,
-            srp=False,
-            bp=BPConfig(intervals="fixed"),
-            events=(Create(at_s=0.2, node=0, variable=1, text="x"),),
-        )
-        simulation = Simulation(scenario)
-        simulation.network.stations[0].watchers.append(Watcher(simulation, moments))
-        simulation.run()
-        assert {after - before for before, after in pairwise(moments)} == {100 * MS}
+        assert set(beacon_intervals("fixed", 5)) == {100 * MS}
 
     def test_the_delay_of_a_hop_is_a_whole_mean_interval(self):
         """Exponential intervals have no memory: the wait for the next beacon is B, not B/2."""
