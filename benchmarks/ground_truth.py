@@ -43,7 +43,7 @@ class Question(NamedTuple):
     node: int
     second: int
     stops: bool
-    """Whether newer values stop at the faulty node."""
+    """True if the faulty node does not forward newer values."""
 
 
 QUESTIONS = (

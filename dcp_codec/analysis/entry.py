@@ -58,7 +58,7 @@ class Entry:
     newest: Entry | None = None
     """The last state of the producer with a number, up to ``until``."""
     deleted: bool = False
-    """Whether the producer has deleted the variable, up to ``until``."""
+    """True if the producer deleted the variable by ``until``."""
     missed: int = 0
     """Number of values of the producer, up to ``until``, that the node has not followed."""
 

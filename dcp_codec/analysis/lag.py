@@ -65,7 +65,7 @@ class Production:
 
     @property
     def full(self) -> bool:
-        """Whether so many states are kept that the older half can be forgotten."""
+        """True if the limit of kept states is reached: the older half can be removed."""
         return len(self._states) >= 2 * _KEPT
 
     def forget(self) -> None:

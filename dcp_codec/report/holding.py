@@ -61,7 +61,7 @@ class Pair:
 
     @property
     def absent(self) -> bool:
-        """Whether the node has sent no record about the variable, although the producer has it."""
+        """True if the producer has the variable, and the node has sent no record about it."""
         return self.held is None and bool(self.differs)
 
     def at(self, second: float) -> tuple[int | None, int | None]:

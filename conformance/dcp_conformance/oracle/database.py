@@ -79,7 +79,7 @@ class VardisModel(Oracle):
         self.late: int = times.pop("late", 0)
         spare: int = times.pop("spare", 0)
         self._in_order: bool = times.pop("in_order", True)
-        """Whether calls are so quick that the order of queues can be judged."""
+        """True if service calls are short enough to judge the order of queues."""
         self._lossy: bool = times.pop("lossy", False)
         self._scrubs: bool | None = times.pop("scrubs", None)
         """Whether the node scrubs the variables of others (X26); None if neither is known."""

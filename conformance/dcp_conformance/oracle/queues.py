@@ -27,7 +27,7 @@ class Place(NamedTuple):
     container: ICType | None = None
     """Type of the received container whose record appended it; None for a service."""
     renewed: bool = False
-    """Whether it may have been in the queue before, at another place."""
+    """True if the entry may have had another place in the queue before."""
 
 
 class Order:

@@ -178,7 +178,7 @@ class SRPModel:
             return
         this = mine[-1]
         if len(mine) > 1:
-            # Of several submissions of the same data, the sequence number shows which it is.
+            # Several submissions have the same data: identify this one by its sequence number.
             before = next((each for each in reversed(self.handed) if each.seqno is not None), None)
             if not self._once or before is None or before.seqno is None:
                 return

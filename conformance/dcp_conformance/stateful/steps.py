@@ -49,7 +49,7 @@ class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):
     """Creation times are in the order of these numbers; 8 and more are an hour ahead."""
     timeout: int = 0
     again: bool = False
-    """Whether the octets of the value are those of the record or payload before."""
+    """True to send the same octets as in the previous value."""
 
 
 class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
@@ -59,7 +59,7 @@ class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
     seqno: int
     count: int = 1
     earlier: bool = False
-    """Whether tStamp is earlier than that of all other reports."""
+    """True to send a tStamp that is earlier than in all other reports."""
 
 
 class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
@@ -69,7 +69,7 @@ class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
     size: int
     count: int = 1
     again: bool = False
-    """Whether the octets are those of the payload before."""
+    """True to send the same octets as in the previous payload."""
 
 
 class Beacon(msgspec.Struct, frozen=True, omit_defaults=True, tag="beacon"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from itertools import pairwise
+from typing import Literal
 
 import msgspec
 import pytest
@@ -145,7 +146,7 @@ def test_pure_aloha():
     assert report.shares["overlapped"] == pytest.approx(1 - theory, abs=0.01)
 
 
-def beacon_intervals(intervals: Any, seconds: float) -> list[int]:
+def beacon_intervals(intervals: Literal["exponential", "fixed"], seconds: float) -> list[int]:
     """Return the intervals in ns between the beacons of a node that always has something to send."""
     moments: list[int] = []
     create = Create(at_s=0.2, node=0, variable=1, text="x")

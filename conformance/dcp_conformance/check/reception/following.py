@@ -220,7 +220,7 @@ class Trial(NamedTuple):
     proof: Proof | None = None
     """Of a missing reaction: proof that the node has received the record."""
     open_cause: bool = False
-    """Whether the node may react without a received record: by a repetition, or by the timeout of the variable."""
+    """True if a repetition or a timeout can cause the reaction, without a received record."""
 
     @property
     def speakers(self) -> int:
@@ -254,7 +254,7 @@ class Variable:
     repetitions: int = 0
     """The largest repCnt in a create; 0 if no create was heard."""
     expires: bool = False
-    """Whether a create has a timeout, so that nodes delete the variable without a delete."""
+    """True if a create has a timeout: nodes then delete the variable without a VarDelete."""
     born: bool = False
     """Whether the recording shows the first creation by the producer."""
     last_create: int = 0
