@@ -67,8 +67,8 @@ def replaced(bench: Bench, pair: _Pair) -> None:
             client.transmit(known[1])
         else:
             between_beacons(bench, "submission of two payloads", act, client.in_frame)
-        for _ in range(3):
-            client.until_sent()
+        client.until_sent(known[1])
+        client.until_sent()
         sent = client.sent(start)
         needed(bench, sent, "a beacon with a payload of the client")
         strange = [each.hex() for each in sent if each not in known]
