@@ -143,20 +143,20 @@ def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
     )
 
 
-def limit() -> None:
-    """Limit the memory of this process and the CPU time of its first case: a change can cause an endless loop."""
+def limit(seconds: int = CPU_SECONDS) -> None:
+    """Limit the memory of this process, and its CPU time until the first case: a change can cause an endless loop."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _limit_time()
+    _limit_time(seconds)
     # Collect garbage rarely: reference counts free most objects of a trial.
     gc.freeze()
     gc.set_threshold(100_000)
 
 
-def _limit_time() -> None:
-    """End the process by SIGXCPU after ``CPU_SECONDS`` further seconds of CPU time."""
+def _limit_time(seconds: int = CPU_SECONDS) -> None:
+    """End the process by SIGXCPU after so many further seconds of CPU time."""
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, hard))
 
 
 def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
