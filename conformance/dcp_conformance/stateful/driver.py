@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import Any, Final
 
@@ -505,8 +505,26 @@ class Driver:
         return f"BP {model.bp.state}"
 
 
+def shorter(
+    execute: Callable[[Sequence[Step]], Counterexample | None], found: Counterexample, *, attempts: int
+) -> Counterexample:
+    """Return the counterexample without steps that it does not need.
+
+    ``execute`` executes a sequence in an initial state, and is called up to ``attempts`` times.
+    """
+    place = len(found.steps) - 1
+    while place >= 0 and attempts and len(found.steps) > 1:
+        fewer = [each for number, each in enumerate(found.steps) if number != place]
+        attempts -= 1
+        again = execute(fewer)
+        if again is not None and again.finding.requirements == found.finding.requirements:
+            found = again
+        place = min(place, len(found.steps)) - 1
+    return found
+
+
 def _letters(size: int) -> str:
     return ("abcdefghijklmnopqrstuvwxyz" * (size // 26 + 1))[:size]
 
 
-__all__ = ["Counterexample", "Driver", "Row", "table"]
+__all__ = ["Counterexample", "Driver", "Row", "shorter", "table"]
