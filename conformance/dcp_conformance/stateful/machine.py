@@ -474,7 +474,7 @@ class NodeMachine(RuleBasedStateMachine):
         reports = [Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier, excess)]
         if beside is not None and count == 1 and beside != neighbour:
             reports.append(Report(beside, seqno))
-        # What is discarded several times may still keep an entry from expiring.
+        # A record that is discarded must not prolong an entry, however often it comes.
         for _ in range(3 if excess else 1):
             self.take(Beacon(sender, tuple(reports), fault))
             if excess:

@@ -260,7 +260,7 @@ def set_again(bench: Bench) -> None:
         peer, begun = bench.peer(), bench.now()
         peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
-        # The interval at which the table is traversed may begin anew, and is a fifth of the timeout.
+        # The interval at which the table is traversed may restart, and is a fifth of the timeout.
         end = begun + length * MS * 9 // 10
 
         def again() -> None:

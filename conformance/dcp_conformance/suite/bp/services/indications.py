@@ -340,11 +340,11 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
     "Each client whose payload is in a beacon gets an indication, with the same nextBeaconGenerationEpoch",
     requirements="BP-PTI-01 BP-PTI-02",
     stimulus="between two beacons, each of three clients submits a payload",
-    expect="one indication for each client; clients whose payloads share a beacon are told the same epoch",
+    expect="one indication for each client; the same epoch for payloads that share a beacon",
     needs=Needs(entities=(), ut=CLIENT, when=no_indication),
     window=8,
 )
-def all_are_told(bench: Bench) -> None:
+def each_client(bench: Bench) -> None:
     with BPClient(bench, ONCE) as one, BPClient(bench, ONCE) as two, BPClient(bench, ONCE) as three:
         clients, start, since = (one, two, three), 0, [0, 0, 0]
 
