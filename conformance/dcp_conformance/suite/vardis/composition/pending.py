@@ -342,8 +342,8 @@ def created_after_deletion(bench: Bench) -> None:
     "A VarReqUpdate has the sequence number that the node holds when it sends it",
     requirements="VD-CMP-11 VD-PS-04",
     stimulus=(
-        "a newer summary and, immediately after it in another beacon, a VarUpdate; after its repetitions a summary that "
-        "is newer again"
+        "a newer summary and, immediately after it in another beacon, a VarUpdate; after its repetitions a summary "
+        "that is newer again"
     ),
     expect="a VarReqUpdate with the sequence number of the VarUpdate",
     window=12,
