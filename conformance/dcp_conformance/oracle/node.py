@@ -236,7 +236,7 @@ class NodeModel:
         if method.startswith("BP-MGMT-") and ok:
             self._hold(time)
         if method.endswith("-SetParameter"):
-            # The confirm need not tell that a value was rejected (BP-PAR-07).
+            # The confirm of a rejected value may be positive (BP-PAR-07).
             if ok and self._valid(params["name"], params["value"]):
                 self._set(params["name"], params["value"], time)
         elif method == "SRP-UpdateSafetyData":

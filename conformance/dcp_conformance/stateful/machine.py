@@ -100,7 +100,7 @@ _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
 REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above")),
     "mode": st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
-    "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 300, 256, 255, 0)),
+    "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 1, 2, 3, 4, 300, 256, 0)),
     "several": st.booleans(),
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
@@ -188,15 +188,15 @@ class NodeMachine(RuleBasedStateMachine):
     @initialize(
         theme=st.sampled_from(_CHOSEN),
         beginning=st.sampled_from(_BEGINNINGS),
-        registration=st.none() | st.fixed_dictionaries(REGISTRATION),
+        registration=st.fixed_dictionaries(REGISTRATION),
     )
-    def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any] | None) -> None:
+    def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any]) -> None:
         """Choose what the sequence is about, and begin."""
         self.title = theme
         self.theme = THEMES[theme] or tuple(ACTIONS)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
-        elif "register" in self.theme and self.has("BP-RegisterProtocol") and registration is not None:
+        elif "register" in self.theme and self.has("BP-RegisterProtocol"):
             self.register(**registration)
 
     def _begin(self, creator: str, deleted: bool, later: bool) -> None:
@@ -315,7 +315,7 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.registered,
         which=WHICH,
-        size=st.sampled_from(("usual", "most", "usual", "usual", "above", "empty", "one")),
+        size=st.sampled_from(("usual", "most", "usual", "most", "above", "usual", "one", "empty", "half")),
         times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
         again=_AGAIN,
     )
@@ -323,9 +323,14 @@ class NodeMachine(RuleBasedStateMachine):
         """Submit payloads."""
         number = self._one_of(which)
         client = self.registrations()[number]
-        octets = {"usual": min(4, client.most), "most": client.most, "above": client.most + 1, "empty": 0, "one": 1}[
-            size
-        ]
+        octets = {
+            "usual": min(4, client.most),
+            "most": client.most,
+            "above": client.most + 1,
+            "empty": 0,
+            "one": 1,
+            "half": client.most // 2 + 1,
+        }[size]
         if times == "fill":
             times = client.entries + 1 if client.mode in _QUEUES else 2
         params = {"protId": number, "payload": octets} | ({AGAIN: True} if again else {})
@@ -469,7 +474,7 @@ class NodeMachine(RuleBasedStateMachine):
         reports = [Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier, excess)]
         if beside is not None and count == 1 and beside != neighbour:
             reports.append(Report(beside, seqno))
-        # What is discarded several times may still keep an entry from expiring.
+        # A record that is discarded must not prolong an entry, however often it comes.
         for _ in range(3 if excess else 1):
             self.take(Beacon(sender, tuple(reports), fault))
             if excess:

@@ -195,6 +195,71 @@ def two_records(bench: Bench) -> None:
 
 
 @case(
+    "TC_SRP_SEQ_BO_03",
+    "A deactivation and activation of BP repeats no report that was sent",
+    requirements="SRP-SRV-04 SRP-INI-03",
+    stimulus="a submission of safety data; after its beacon BP-MGMT-Deactivate and BP-MGMT-Activate",
+    expect="no further beacon with this record",
+    window=10,
+    needs=Needs(since=SpecVersion.V1_3, ut=(_UPDATE, *_SWITCHES), entities=("srp",)),
+)
+def not_repeated(bench: Bench) -> None:
+    reporter = Reporter(bench)
+    first = reporter.sent("SRP-SRV-03")
+    with bench.services.deactivated("BP"):
+        # A beacon sent before the deactivation may still be in transit to the tester.
+        bench.wait(1)
+        start = bench.mark()
+    bench.wait(4)
+    again = [
+        heard for heard in bench.heard[start:] if heard.report is not None and heard.report.seqno == first.report.seqno
+    ]
+    bench.none(again, "no further beacon with the record", "SRP-SRV-04")
+
+
+@case(
+    "TC_SRP_RX_BV_11",
+    "A record that has the tStamp of the stored one replaces it",
+    requirements="SRP-RX-03",
+    stimulus="a record with seqno 5, then one of the same node with seqno 6, other safety data and the same tStamp",
+    expect="the entry has the second record: only sequence numbers may be used as a filter",
+    needs=_TABLE,
+)
+def same_stamp(bench: Bench) -> None:
+    peer, stamp = bench.peer(), bench.records.creation_time()
+    peer.send(bench.records.report(peer.node_id, 5, t_stamp=stamp))
+    if until_neighbour(bench, peer.node_id, 5) is None:
+        bench.inconclusive("an entry with the first record", "no such entry")
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+    values: dict[str, Any] = {name: value for name, value in safety_data(bench, 3).items() if kinds[name] != "opaque"}
+    peer.send(bench.records.report(peer.node_id, 6, t_stamp=stamp, **values))
+    entry = until_neighbour(bench, peer.node_id, 6)
+    bench.some(entry, "an entry with the second record", seen="the entry still has the first record")
+
+
+@case(
+    "TC_SRP_RX_BV_12",
+    "A neighbour may have any identifier ({variant})",
+    requirements="SRP-RX-03 DATA-04",
+    stimulus="a record whose nodeId is {variant}",
+    expect="an entry of this node",
+    needs=_TABLE,
+    variants={"all-zeros": 0x00, "all-ones-but-one": 0xFE, "as-text": 0x41},
+)
+def any_identifier(bench: Bench, octet: int) -> None:
+    if bench.profile.types.node_id.representation == "text":
+        bench.verdicts.not_applicable(f"the identifiers of the profile {bench.profile.name} are texts")
+    peer, width = bench.peer(), len(bench.identifiers.sut_id)
+    node_id = bytes([octet] * width)
+    for _ in range(2):
+        # A beacon may be lost.
+        peer.send(bench.records.report(node_id, 1))
+        if until_neighbour(bench, node_id) is not None:
+            break
+    bench.some(until_neighbour(bench, node_id), f"an entry of {node_id.hex(':')}", seen="no such entry")
+
+
+@case(
     "TC_SRP_SRV_TI_01",
     "Confirms of SRP-UpdateSafetyData are immediate and do not wait for a beacon",
     requirements="SRP-SRV-05",

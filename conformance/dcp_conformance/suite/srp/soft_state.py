@@ -244,6 +244,33 @@ def not_prolonged(bench: Bench, name: str) -> None:
 
 
 @case(
+    "TC_SRP_NT_TI_11",
+    "Setting the timeout does not prolong the entries that exist",
+    requirements="SRP-RUN-02 SRP-PAR-01",
+    alone="it shortens the timeout of neighbours",
+    stimulus="a record of a neighbour; then SRP-SetParameter with the same timeout, eighteen times before its end",
+    expect="the entry is removed in time",
+    window=45,
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-SetParameter"), entities=("srp",)),
+)
+def set_again(bench: Bench) -> None:
+    # Twice this time is later than any tolerance allows.
+    length = round(1500 * bench.session.timing_scale)
+    with parameters_set(bench, "SRP", **{TIMEOUT: length}):
+        peer, begun = bench.peer(), bench.now()
+        peer.send(bench.records.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        # The interval at which the table is traversed may restart, and is a fifth of the timeout.
+        end = begun + length * MS * 9 // 10
+
+        def again() -> None:
+            if bench.now() < end:
+                bench.must("SRP-SetParameter", name=TIMEOUT, value=length)
+
+        lifetime(bench, [peer], begun, length * MS, again)
+
+
+@case(
     "TC_SRP_NT_BV_06",
     "The neighbour table can be queried whatever its contents",
     requirements="SRP-NT-02",

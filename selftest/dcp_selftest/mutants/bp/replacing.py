@@ -57,7 +57,7 @@ class RejectedDefault(BeaconingProtocol):
         return violation
 
 
-@mutant("passes-head", "BP-TX-06 BP-QM-03", "fills a beacon with payloads behind one that does not fit", unseen=NO_MODE)
+@mutant("passes-head", "BP-TX-06 BP-QM-03", "fills a beacon with payloads after one that does not fit", unseen=NO_MODE)
 class PassesHead(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         chosen = super().take(room, size, most)

@@ -13,8 +13,8 @@ from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable
 
 
-@mutant("anew-when-alone", "SRP-SEQ-01", "numbers its records from 0 again when the last neighbour has expired")
-class AnewWhenAlone(StateReporting):
+@mutant("again-when-alone", "SRP-SEQ-01", "numbers its records from 0 again when the last neighbour has expired")
+class AgainWhenAlone(StateReporting):
     def handle_timeout(self, now: int, wall: int) -> None:
         before = len(self._table)
         super().handle_timeout(now, wall)

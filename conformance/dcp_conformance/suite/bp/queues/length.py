@@ -25,8 +25,8 @@ def _noise(count: int) -> bytes:
     stimulus="a beacon with the summary of an unknown variable, followed by octets that length does not count",
     expect="requests for this variable and for that of the next beacon",
     needs=lengths(),
-    variants={f"{count}-zeros": bytes(count) for count in (1, 3, 4, 5, 18, 46)}
-    | {f"{count}-random": _noise(count) for count in (1, 4, 7, 46)},
+    variants={f"{count}-zeros": bytes(count) for count in (1, 3, 4, 5, 18, 46, 200)}
+    | {f"{count}-random": _noise(count) for count in (1, 4, 7, 46, 200)},
 )
 def padding(bench: Bench, octets: bytes) -> None:
     peer, (first, second), start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()

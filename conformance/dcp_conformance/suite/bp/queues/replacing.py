@@ -123,7 +123,7 @@ def equal_entries(bench: Bench, mode: QueueingMode) -> None:
 
 
 class _Full(NamedTuple):
-    """What happens to three payloads submitted between two beacons: a mode, a request, and how many are sent."""
+    """Three payloads submitted between two beacons: the mode, how many are sent, and whether they are cleared."""
 
     mode: QueueingMode
     sent: int

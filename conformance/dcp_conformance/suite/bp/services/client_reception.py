@@ -246,7 +246,7 @@ def other_count(bench: Bench, claimed: int) -> None:
     stimulus="a beacon with a block for a client, followed by octets that its length does not count",
     expect="indications of this block and of that of the next beacon",
     needs=_LENGTHS,
-    variants={"1-zero": b"\0", "46-zeros": bytes(46), "7-others": bytes(range(200, 207))},
+    variants={"1-zero": b"\0", "46-zeros": bytes(46), "200-zeros": bytes(200), "7-others": bytes(range(200, 207))},
 )
 def padding(bench: Bench, octets: bytes) -> None:
     with BPClient(bench, ONCE) as client:

@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
 from dcp_conformance.frames.builder import Block
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import DENIED, LISTENS, REPLACES, Needs, Variant, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     DEREGISTER,
@@ -34,7 +36,8 @@ from dcp_conformance.test_steps.bp_clients import (
     unused_protocol_id,
     wait_for_notifications,
 )
-from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.upper_tester import Notification
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 _SMALL = 256
@@ -330,6 +333,52 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
         if mode is not REPEAT:
             bench.wait(_AFTERWARDS)
             bench.repeated(len(indications(bench, TRANSMITTED, client.prot_id)), 1, "indications for one payload")
+
+
+@case(
+    "TC_BP_PTI_BV_05",
+    "Each client whose payload is in a beacon gets an indication, with the same nextBeaconGenerationEpoch",
+    requirements="BP-PTI-01 BP-PTI-02",
+    stimulus="between two beacons, each of three clients submits a payload",
+    expect="one indication for each client; the same epoch for payloads that share a beacon",
+    needs=Needs(entities=(), ut=CLIENT, when=no_indication),
+    window=8,
+)
+def each_client(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as one, BPClient(bench, ONCE) as two, BPClient(bench, ONCE) as three:
+        clients, start, since = (one, two, three), 0, [0, 0, 0]
+
+        def told(place: int) -> list[Notification]:
+            return indications(bench, TRANSMITTED, clients[place].prot_id)[since[place] :]
+
+        def act() -> None:
+            nonlocal start
+            start = bench.mark()
+            for place, client in enumerate(clients):
+                since[place] += len(told(place))
+                client.transmit(client.payload())
+
+        def any_of(heard: ReceivedBeacon) -> bool:
+            return any(client.in_frame(heard) for client in clients)
+
+        between_beacons(bench, "submission of three payloads", act, any_of)
+        bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.sut.reaction)
+        needed(bench, all(client.frames(start) for client in clients), "beacons with the three payloads")
+        until(bench, lambda: all(told(place) for place in range(3)), 1)
+        bench.wait(_AFTERWARDS)
+        for place, client in enumerate(clients):
+            bench.repeated(len(told(place)), 1, "indications", "BP-PTI-01", frames=client.frames(start))
+        for heard in {id(each): each for client in clients for each in client.frames(start)}.values():
+            epochs = {
+                epoch
+                for place, client in enumerate(clients)
+                if client.in_frame(heard) and len(told(place)) == 1
+                for epoch in [told(place)[0].params.get("nextBeaconGenerationEpoch")]
+                if isinstance(epoch, int)
+            }
+            apart = max(epochs) - min(epochs) if epochs else 0
+            what = "the same nextBeaconGenerationEpoch for all payloads of a beacon"
+            bench.none(apart > bench.period // 2, what, "BP-PTI-02", seen=f"{apart / MS:.0f} ms apart", frames=[heard])
 
 
 @case(

@@ -303,3 +303,63 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
         # After the last VarDelete the variable is unknown and may be requested.
         late = [each for each in late if bench.heard.index(each.heard) <= last]
     bench.none(late, "no other record of the variable")
+
+
+@case(
+    "TC_VD_PEND_BV_09",
+    "A VarDelete of an unknown variable does not withdraw the request for it",
+    requirements="VD-PD-01 VD-PS-01 VD-CMP-12",
+    stimulus="a summary of an unknown variable and, immediately after it in another beacon, a VarDelete of it",
+    expect="a VarReqCreate for the variable",
+    window=8,
+)
+def request_kept(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.unknown_id()
+    peer.send(peer.summary(var_id, 0))
+    peer.send(peer.delete(var_id))
+    found = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
+    bench.some(found, "a VarReqCreate for the variable")
+
+
+@case(
+    "TC_VD_PEND_BV_10",
+    "A VarDelete of an unknown variable does not keep it from being created later",
+    requirements="VD-PD-01 VD-PC-07",
+    stimulus="a VarDelete of an unknown variable; in another beacon its VarCreate",
+    expect="the VarCreate is forwarded",
+    window=8,
+)
+def created_after_deletion(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    peer.send(peer.delete(var_id))
+    peer.send(peer.create(var_id))
+    found = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    bench.some(found, "a VarCreate of the variable")
+
+
+@case(
+    "TC_VD_PEND_BV_11",
+    "A VarReqUpdate has the sequence number that the node holds when it sends it",
+    requirements="VD-CMP-11 VD-PS-04",
+    stimulus=(
+        "a newer summary and, immediately after it in another beacon, a VarUpdate; after its repetitions a summary "
+        "that is newer again"
+    ),
+    expect="a VarReqUpdate with the sequence number of the VarUpdate",
+    window=12,
+)
+def number_of_a_request(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id, kind = teach_variable(bench, peer, seqno=5), ICType.REQUEST_VARUPDATES
+    peer.send(peer.summary(var_id, 9))
+    peer.send(peer.update(var_id, 7, b"second"))
+    if bench.until_instruction(ICType.UPDATES, var_id) is None:
+        bench.inconclusive("a VarUpdate of the variable, which this case needs", "the implementation sends none")
+    # A request that was prepared before the VarUpdate may still be sent.
+    bench.wait(2)
+    start = bench.mark()
+    peer.send(peer.summary(var_id, 11))
+    bench.until_instruction(kind, var_id)
+    found = bench.required(bench.instructions(kind, var_id, start), "a VarReqUpdate for the variable", "VD-PS-04")
+    numbers = [getattr(each.record, "seqno", None) for each in found]
+    bench.answered(numbers[-1], 7, "seqno of the VarReqUpdate", frames=found)

@@ -6,13 +6,15 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.frames.received import Instruction
+from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
     create_request,
+    created_again,
     delete_taught_variable,
     expect_any,
     max_repetitions,
@@ -265,3 +267,31 @@ def request_ended(bench: Bench) -> None:
         )
     what = "no VarReqCreate for the node's own variable in at least one of 3 attempts"
     bench.none(late, what, given=bench.verdicts.in_time)
+
+
+@case(
+    "TC_VD_CRE_BV_10",
+    "A variable that its application creates again is queued after the others",
+    requirements="VD-CRE-11 VD-CRE-12",
+    stimulus="RTDB-Create of two variables with the maximum repCnt; RTDB-Create of the first again",
+    expect="in beacons with VarCreates of both, that of the second is before the new one of the first",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",), when=several_repetitions),
+)
+def queued_last(bench: Bench) -> None:
+    count, kind = max_repetitions(bench), ICType.CREATE_VARIABLES
+    first, second = produced(bench, rep_cnt=count), produced(bench, rep_cnt=count)
+    descr = bench.records.descr(b"once more")
+    created_again(bench, first, rep_cnt=count, descr=descr.decode())
+
+    def places(heard: ReceivedBeacon) -> list[int]:
+        """Return the variables of the new VarCreates in their order."""
+        found = [each.record for each in heard.instructions(kind) if isinstance(each.record, VarCreate)]
+        new = [each.spec.var_id for each in found if each.spec.var_id == second or each.spec.descr == descr]
+        return [each for each in new if each in (first, second)]
+
+    both = bench.until(lambda heard: heard if len(places(heard)) == 2 else None)
+    if both is None:
+        bench.inconclusive("a beacon with both VarCreates, which this case needs", "none in time")
+    order = ["first" if each == first else "second" for each in places(both)]
+    bench.answered(order, ["second", "first"], "VarCreates", frames=[both])

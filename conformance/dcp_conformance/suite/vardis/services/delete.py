@@ -91,7 +91,7 @@ def ends_repetitions(bench: Bench) -> None:
 
 @case(
     "TC_VD_DEL_BV_06",
-    "The VarDeletes of a variable that was created again are counted anew",
+    "The VarDeletes of a variable that was created again are counted from repCnt again",
     requirements="VD-DEL-05 VD-CRE-10",
     stimulus=(
         "RTDB-Create and RTDB-Delete with the maximum repCnt; after two VarDeletes RTDB-Create and RTDB-Delete again"
@@ -100,7 +100,7 @@ def ends_repetitions(bench: Bench) -> None:
     window=60,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
 )
-def counted_anew(bench: Bench) -> None:
+def counted_again(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
     bench.must("RTDB-Delete", varId=var_id)
