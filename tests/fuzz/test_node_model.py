@@ -159,5 +159,5 @@ def test_notifications_of_a_client_whose_queue_is_unknown_count() -> None:
     assert not list(model.confirmed("BP-RegisterProtocol", registering(3).params | {"name": "x"}, ok, 1))
     model.unknown_outcome("BP-TransmitPayload", {"protId": 0})
     assert not list(model.beacon([(0, b"1234")], 40, None, 2))
-    assert not list(model.transmitted(0))
+    assert not list(model.transmitted(0, None))
     assert not list(model.unconfirmed(10_000 * MS))
