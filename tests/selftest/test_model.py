@@ -63,6 +63,13 @@ SHOWING: dict[str, tuple[Step, ...]] = {
         Call("VD-SetParameter", {"name": "VARDISPAR_MAX_VALUE_LENGTH", "value": 200}),
         Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "value": 200, "timeout": 0}),
     ),
+    "M-VD-SCR-03-consumer-double": (
+        Beacon(0, (Records("create", 0, creation=1, timeout=5000),)), Wait(80), Wait(40),
+    ),
+    "M-VD-PC-08-pending-update-left": (
+        Beacon(0, (Records("create", 0, creation=1, repetitions=15),)), Beacon(0, (Records("update", 0, seqno=1),)),
+        Beacon(0, (Records("create", 0, creation=2, repetitions=15),)), Wait(8),
+    ),
 }  # fmt: skip
 
 

@@ -39,6 +39,8 @@ _FLAWS: Final = {
     "VD-PC-03": "own", "VD-PC-04": "bad value", "VD-PC-05": "bad description", "VD-PC-06": "bad repCnt",
 }  # fmt: skip
 _TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
+#: By the requirement of a creation: the one by which a known variable leaves all queues first.
+_EMPTIES: Final[dict[tuple[str, ...], str]] = {("VD-PC-07",): "VD-PC-08", ("VD-CRE-11",): "VD-CRE-11"}
 #: Number of payloads without the summary of a variable that show that it is in no queue.
 _ABSENT: Final = 3
 _STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
@@ -117,6 +119,9 @@ class VardisModel(Oracle):
                 self.why[_var_id(record)] = ("VD-MGT-03",)
             return
         ids = {_var_id(record) for record in records}
+        for var_id in ids:
+            # A record may renew or delete it.
+            self._passed.pop(var_id, None)
         before = {var_id: self._variable(var_id).now for var_id in ids}
         self._order.next_event()
         for position, each in enumerate(sorted(records, key=processing_order)):
@@ -259,6 +264,7 @@ class VardisModel(Oracle):
         # X37: what was pending may be dropped; X36: whether time passes for variables with a timeout is open.
         self._owed.clear()
         self._due.clear()
+        self._passed.clear()
         self._order.forget()
         for variable in self.variables.values():
             if variable.due != NEVER:
@@ -294,10 +300,11 @@ class VardisModel(Oracle):
         if gone is None or not self.active:
             return
         if state == "alive" and time > gone + self.late:
-            self._passed.pop(var_id)
             if self._scrubs:
+                self._passed.pop(var_id)
                 yield Finding(("VD-SCR-04", "VD-SCR-05"), f"variable {var_id} deleted after its timeout", state)
             else:
+                # It must not be deleted later, either.
                 self._scrubs = False
         elif state == "deleted":
             self._passed.pop(var_id)
@@ -400,6 +407,7 @@ class VardisModel(Oracle):
         """Record a new VARDISPAR_SCRUBBING_PERIOD in ns; the running period may still end first."""
         if self._scrubbing is not None:
             self._scrubbing = max(self._scrubbing, period)
+            self._passed.clear()
 
     # -- payloads of the node --------------------------------------------------------------------------------
 
@@ -435,7 +443,8 @@ class VardisModel(Oracle):
         waited = max(0, time - self._latency - since) + self.late
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
         for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited):
-            yield Finding(self._named(each.requirement, each.var_id), each.expected, each.observed)
+            unasked = each.expected.startswith("no ")
+            yield Finding(self._named(each.requirement, each.var_id, unasked=unasked), each.expected, each.observed)
         if not self._lossy:
             if self._in_order:
                 yield from self._ordered(groups, since, owed)
@@ -460,10 +469,13 @@ class VardisModel(Oracle):
                         found[each.cause] = max(found.get(each.cause, each.time), each.time)
         return found
 
-    def _named(self, requirement: str, var_id: int) -> tuple[str, ...]:
+    def _named(self, requirement: str, var_id: int, *, unasked: bool) -> tuple[str, ...]:
+        """Return the requirements of a complaint. ``unasked``: about an instruction that nothing has queued."""
         why = self.why.get(var_id, ())
         if requirement in ("VD-PD-04", "VD-CMP-05", "VD-PS-02") and why:
             return (why[0], requirement) if why[0] != requirement else (requirement,)
+        if requirement == "VD-SCP-02" and unasked and why[:1] in _EMPTIES:
+            return (requirement, _EMPTIES[why[:1]])
         return (requirement,)
 
     def _needs(self, kind: ICType) -> int:
