@@ -25,6 +25,8 @@ _MOST: Final = 64
 _FLYING: Final = 2
 #: Number of intervals of beacons whose mean is judged.
 _INTERVALS: Final = 20
+#: Number of beacons in succession that are compared with the announced times.
+_FORETOLD: Final = 5
 _MODES: Final = {each.value for each in QueueingMode}
 _Q = QueueingMode
 
@@ -120,6 +122,10 @@ class BPModel:
         self._paced: list[int] = []
         """Times of beacons with the present period, ns."""
         self._pace_from = -(1 << 62)
+        self._foretold: int | None = None
+        """Time of the next beacon as the last notification states it, ns of the tester; None if it does not."""
+        self._early: list[int] = []
+        """How much earlier than foretold the last beacons came, ns."""
         self.deliveries: list[Delivery] = []
         self._seqno: int | None = None
         self.beacons = 0
@@ -342,6 +348,7 @@ class BPModel:
     def set_period(self, period: int, time: int) -> None:
         """Record a new BPPAR_BEACON_PERIOD in ns. The interval that has begun may be of the former length."""
         self._paced.clear()
+        self._early.clear()
         self._pace_from = time + 3 * max(self.period, period) + self.timing.flight
         self.period, self._interval = max(self.period, period), period
 
@@ -396,6 +403,7 @@ class BPModel:
         self.beacons += 1
         yield from self._numbered(seqno)
         yield from self._too_fast(time)
+        yield from self._before_epoch(time)
         if not self.active and time - self.switched > flight:
             yield Finding(("BP-MGT-02", "BP-TX-07"), "no beacon while BP is inactive", f"a beacon of {size} octets")
         since = [value for begun, value in self._packets if begun <= time]
@@ -421,6 +429,19 @@ class BPModel:
                 )
             yield from self._sent(client, octets, time)
         yield from self._starving(taken, size, time)
+
+    def _before_epoch(self, time: int) -> Iterator[Finding]:
+        """Judge that not all of the last beacons came long before their announced times."""
+        foretold, self._foretold = self._foretold, None
+        if foretold is None or self.timing.clock is None or time < self._pace_from or not self.active:
+            return
+        self._early = [*self._early[1 - _FORETOLD :], foretold - time]
+        if len(self._early) == _FORETOLD and min(self._early) > self._interval // 2 + self.timing.clock:
+            expected = (
+                f"the time of the next beacon as nextBeaconGenerationEpoch, within {self._interval / 2 / MS:g} ms"
+            )
+            yield Finding(("BP-PTI-02", "BP-PAR-02"), expected, f"a time {min(self._early) / MS:g} ms later, or more")
+            self._early.clear()
 
     def _numbered(self, seqno: int | None) -> Iterator[Finding]:
         before, self._seqno = self._seqno, seqno
@@ -586,8 +607,12 @@ class BPModel:
                 yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.early = [each for each in client.early if each >= limit - self.timing.flight]
 
-    def transmitted(self, prot_id: int, time: int) -> Iterator[Finding]:
-        """Judge a BP-PayloadTransmitted.indication about a client of the tester, which came at ``time``."""
+    def transmitted(self, prot_id: int, time: int, epoch: int | None = None) -> Iterator[Finding]:
+        """Judge a BP-PayloadTransmitted.indication about a client of the tester, which came at ``time``.
+
+        ``epoch``: nextBeaconGenerationEpoch on the tester's monotonic clock, ns; None if it is unknown.
+        """
+        self._foretold = epoch
         client = self.clients.get(prot_id)
         if client is None or self.timing.lossy:
             return

@@ -26,6 +26,8 @@ _ROTATION: Final = {
     _CREATES: "VD-CMP-06", _DELETES: "VD-CMP-10", _UPDATES: "VD-CMP-09", _SUMMARIES: "VD-CMP-03",
     _CREATE_REQUESTS: "VD-PAY-06", _UPDATE_REQUESTS: "VD-PAY-06",
 }  # fmt: skip
+#: The instructions that each counter of a variable is about.
+_COUNTED: Final = {"countUpdate": _UPDATES, "countCreate": _CREATES, "countDelete": _DELETES}
 #: Instructions that are sent several times.
 _ROTATED: Final = frozenset({_CREATES, _DELETES, _UPDATES})
 #: By kind of a record that has not changed a variable: the requirements.
@@ -37,6 +39,8 @@ _FLAWS: Final = {
     "VD-PC-03": "own", "VD-PC-04": "bad value", "VD-PC-05": "bad description", "VD-PC-06": "bad repCnt",
 }  # fmt: skip
 _TAKEN: Final = {_CREATES: ("VD-PC-07",), _DELETES: ("VD-PD-04",), _UPDATES: ("VD-PU-07",)}
+#: By the requirement of a creation: the one by which a known variable leaves all queues first.
+_EMPTIES: Final[dict[tuple[str, ...], str]] = {("VD-PC-07",): "VD-PC-08", ("VD-CRE-11",): "VD-CRE-11"}
 #: Number of payloads without the summary of a variable that show that it is in no queue.
 _ABSENT: Final = 3
 _STATES: Final[tuple[State, ...]] = ("unknown", "alive", "deleted")
@@ -51,6 +55,8 @@ class Due(msgspec.Struct):
     time: int
     """When it was queued, ns."""
     requirement: str
+    cause: int
+    """Number of the frame that asks for it; 0 for a service call."""
 
 
 class Room:
@@ -81,6 +87,8 @@ class VardisModel(Oracle):
         self._in_order: bool = times.pop("in_order", True)
         """True if service calls are short enough to judge the order of queues."""
         self._lossy: bool = times.pop("lossy", False)
+        self._whole: bool = times.pop("whole", False)
+        """Whether a received payload is processed as a whole, and no payload is composed in between."""
         self._scrubs: bool | None = times.pop("scrubs", None)
         """Whether the node scrubs the variables of others (X26); None if neither is known."""
         super().__init__(own_id, features, width, limits, **times)
@@ -111,6 +119,9 @@ class VardisModel(Oracle):
                 self.why[_var_id(record)] = ("VD-MGT-03",)
             return
         ids = {_var_id(record) for record in records}
+        for var_id in ids:
+            # A record may renew or delete it.
+            self._passed.pop(var_id, None)
         before = {var_id: self._variable(var_id).now for var_id in ids}
         self._order.next_event()
         for position, each in enumerate(sorted(records, key=processing_order)):
@@ -155,10 +166,10 @@ class VardisModel(Oracle):
         spec = self.variables[var_id].now.spec
         before = self._due.get((kind, var_id))
         if kind in _ROTATED and requirement not in TAUGHT and spec is not None:
-            self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement)
+            self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement, frame)
         elif before is None:
             # Sent once for certain: it may have been in its queue already.
-            self._due[kind, var_id] = Due(1, time, requirement)
+            self._due[kind, var_id] = Due(1, time, requirement, frame)
 
     def _surely_queued(self, kind: ICType, var_id: int) -> bool:
         due = self._due.get((kind, var_id))
@@ -253,6 +264,7 @@ class VardisModel(Oracle):
         # X37: what was pending may be dropped; X36: whether time passes for variables with a timeout is open.
         self._owed.clear()
         self._due.clear()
+        self._passed.clear()
         self._order.forget()
         for variable in self.variables.values():
             if variable.due != NEVER:
@@ -288,10 +300,11 @@ class VardisModel(Oracle):
         if gone is None or not self.active:
             return
         if state == "alive" and time > gone + self.late:
-            self._passed.pop(var_id)
             if self._scrubs:
+                self._passed.pop(var_id)
                 yield Finding(("VD-SCR-04", "VD-SCR-05"), f"variable {var_id} deleted after its timeout", state)
             else:
+                # It must not be deleted later, either.
                 self._scrubs = False
         elif state == "deleted":
             self._passed.pop(var_id)
@@ -324,10 +337,18 @@ class VardisModel(Oracle):
             about: Literal["", "creationTime"] = "creationTime" if name == "creationTime" else ""
             yield Finding(reasons, f"{name} {_text(wanted)} of variable {var_id}", _text(got), about)
             return
+        why = self._reasons(var_id, ())[:1]
         for name in ("countUpdate", "countCreate", "countDelete"):
             count = row.get(name)
-            if type(count) is int and not 0 <= count <= spec.rep_cnt:
-                yield Finding((*which, "VD-DB-01"), f"{name} of at most {spec.rep_cnt}", str(count))
+            if type(count) is not int:
+                continue
+            if not 0 <= count <= spec.rep_cnt:
+                yield Finding((*which, "VD-DB-01", *why), f"{name} of at most {spec.rep_cnt}", str(count))
+                return
+            due = self._due.get((_COUNTED[name], var_id))
+            # One payload may have been composed with the event.
+            if due is not None and due.time == time and not self._latency + self.late and count < due.left - 1:
+                yield Finding((*which, *why), f"{name} of at least {due.left - 1} at once", str(count))
                 return
 
     def _listed(self, rows: Iterable[Mapping[str, Any]], time: int) -> Iterator[Finding]:
@@ -386,6 +407,7 @@ class VardisModel(Oracle):
         """Record a new VARDISPAR_SCRUBBING_PERIOD in ns; the running period may still end first."""
         if self._scrubbing is not None:
             self._scrubbing = max(self._scrubbing, period)
+            self._passed.clear()
 
     # -- payloads of the node --------------------------------------------------------------------------------
 
@@ -394,7 +416,8 @@ class VardisModel(Oracle):
     ) -> Iterator[Finding]:
         """Judge a payload of ``octets`` octets, composed at ``since`` or later and received at ``time`` (ns)."""
         self.payloads += 1
-        since = max(since, self._shown(containers))
+        causes = self._shown(containers)
+        since = max([since, *causes.values()])
         former = [(size, count) for changed, size, count in self.room.former if changed >= since]
         most = max([self.room.most, *(size for size, _ in former)])
         summaries = max([self.room.summaries, *(count for _, count in former)])
@@ -420,13 +443,14 @@ class VardisModel(Oracle):
         waited = max(0, time - self._latency - since) + self.late
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
         for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited):
-            yield Finding(self._named(each.requirement, each.var_id), each.expected, each.observed)
+            unasked = each.expected.startswith("no ")
+            yield Finding(self._named(each.requirement, each.var_id, unasked=unasked), each.expected, each.observed)
         if not self._lossy:
             if self._in_order:
                 yield from self._ordered(groups, since, owed)
             if not former:
                 free = self.room.limit - octets - self.room.header
-                yield from self._missing(groups, free, since)
+                yield from self._missing(groups, free, since, causes if self._whole else {})
                 yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
             key = kind, _var_id(record)
@@ -435,20 +459,23 @@ class VardisModel(Oracle):
                 if not due.left:
                     del self._due[key]
 
-    def _shown(self, containers: Sequence[Container]) -> int:
-        """Return the earliest time of the composition of a payload, given the events that it shows."""
-        latest = -(1 << 62)
+    def _shown(self, containers: Sequence[Container]) -> dict[int, int]:
+        """Return the numbers and times of the frames, or services (0), that a payload certainly shows."""
+        found: dict[int, int] = {}
         for container in containers:
             for record in container.records:
                 for each in self._owed.get(_var_id(record), ()) if record.IC_TYPE is not None else ():
                     if each.kind is record.IC_TYPE and each.kind in (_CREATE_REQUESTS, _DELETES):
-                        latest = max(latest, each.time)
-        return latest
+                        found[each.cause] = max(found.get(each.cause, each.time), each.time)
+        return found
 
-    def _named(self, requirement: str, var_id: int) -> tuple[str, ...]:
+    def _named(self, requirement: str, var_id: int, *, unasked: bool) -> tuple[str, ...]:
+        """Return the requirements of a complaint. ``unasked``: about an instruction that nothing has queued."""
         why = self.why.get(var_id, ())
         if requirement in ("VD-PD-04", "VD-CMP-05", "VD-PS-02") and why:
             return (why[0], requirement) if why[0] != requirement else (requirement,)
+        if requirement == "VD-SCP-02" and unasked and why[:1] in _EMPTIES:
+            return (requirement, _EMPTIES[why[:1]])
         return (requirement,)
 
     def _needs(self, kind: ICType) -> int:
@@ -488,10 +515,13 @@ class VardisModel(Oracle):
                 break
             self._order.sent(kind, ids, since)
 
-    def _missing(self, groups: Mapping[ICType, list[VardisRecord]], free: int, since: int) -> Iterator[Finding]:
+    def _missing(
+        self, groups: Mapping[ICType, list[VardisRecord]], free: int, since: int, causes: Mapping[int, int]
+    ) -> Iterator[Finding]:
         """Yield a finding for a record that must be in this payload: it was queued before, and any record would fit.
 
-        ``free``: octets for records in one more container.
+        ``free``: octets for records in one more container. ``causes``: frames that the payload shows, each of which was
+        processed as a whole before it was composed.
         """
         for (kind, var_id), due in self._due.items():
             variable, there = self.variables[var_id], groups.get(kind, ())
@@ -499,17 +529,19 @@ class VardisModel(Oracle):
                 continue
             if any(_var_id(each) == var_id for each in there) or len(there) >= 255:
                 continue
-            if max(due.time, variable.settled) + self.late >= since or self._needs(kind) > free:
+            shown = due.cause and causes.get(due.cause) == max(due.time, variable.settled)
+            if (max(due.time, variable.settled) + self.late >= since and not shown) or self._needs(kind) > free:
                 continue
             if kind in (_CREATES, _UPDATES) and not self._features.receive_checks_too_long:
                 # The head of the queue may have any size, and hold up the others.
                 continue
             del self._due[kind, var_id]
             spec = variable.now.spec
+            which: tuple[str, ...]
             if kind in _ROTATED and spec is not None and due.left < spec.rep_cnt:
                 which = (due.requirement, _ROTATION[kind])
             else:
-                which = ("VD-PAY-02", due.requirement) if there else (due.requirement, "VD-CMP-13")
+                which = ("VD-PAY-02", due.requirement) if there else (due.requirement, "VD-CMP-13", "VD-PAY-02")
             yield Finding(which, f"{kind.label} of variable {var_id} in this payload, which has room", "none")
             return
 

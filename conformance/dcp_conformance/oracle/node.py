@@ -31,6 +31,7 @@ from .bp import BPModel, Sizes
 from .database import Room, VardisModel
 from .judgement import MS, Expected, Finding, Timing, either
 from .knowledge import NO_CREATION, Limits
+from .services import refused_by
 from .srp import SRPModel
 
 _RECORDS = {
@@ -110,7 +111,7 @@ class NodeModel:
             self.own_id, self._features, profile.types.var_seqno.width, limits, room,
             latency=timing.flight, window=max(timing.patience, 8 * timing.period) + timing.late, late=timing.late,
             spare=-(-timing.late // timing.period),
-            lossy=timing.lossy, in_order=timing.flight <= 3 * timing.period,
+            lossy=timing.lossy, whole=timing.whole, in_order=timing.flight <= 3 * timing.period,
             scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
             scrubs=None if declared is None else declared == "every-node",
         )  # fmt: skip
@@ -216,11 +217,11 @@ class NodeModel:
         first = expected[0].requirement
         reasons: tuple[str, ...] = (first,)
         if method.startswith("RTDB-") and params.get("varId") in self.vardis.mine:
-            reasons = self.vardis.differs(params["varId"], first)
+            reasons = (*self.vardis.differs(params["varId"], first), *refused_by(method, given))
         elif method.startswith("BP-") and not self.bp.active:
             reasons = (first, "BP-MGT-04")
         shown = "" if len(params) > 12 else f"{method} answers {either([each for each in expected if each.status])}"
-        yield Finding(reasons, shown, status or "no status")
+        yield Finding(tuple(dict.fromkeys(reasons)), shown, status or "no status")
 
     def confirmed(
         self,
@@ -387,13 +388,20 @@ class NodeModel:
 
     # -- notifications and time ------------------------------------------------------------------------------
 
-    def notified(self, method: str, params: Mapping[str, Any], time: int) -> Iterator[Finding]:
-        """Judge a notification that the tester got at ``time``."""
+    def notified(
+        self, method: str, params: Mapping[str, Any], time: int, offset: int | None = None
+    ) -> Iterator[Finding]:
+        """Judge a notification that the tester got at ``time``.
+
+        ``offset``: wall clock of the tester minus its monotonic one, ns; None if it is unknown.
+        """
         prot_id = params.get("protId", -1)
         if method == "BP-ReceivePayload.indication":
             yield from self.bp.indicated(prot_id, bytes.fromhex(str(params.get("payload", ""))))
         elif method == "BP-PayloadTransmitted.indication":
-            yield from self.bp.transmitted(prot_id, time)
+            epoch = params.get("nextBeaconGenerationEpoch")
+            foretold = epoch - offset if isinstance(epoch, int) and offset is not None else None
+            yield from self.bp.transmitted(prot_id, time, foretold)
 
     def passed(self, time: int, *, notified: bool) -> Iterator[Finding]:
         """Judge what should have come by ``time``. ``notified``: whether the tester gets notifications."""

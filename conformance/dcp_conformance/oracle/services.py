@@ -17,6 +17,13 @@ _GROUPS: Final = {
 }  # fmt: skip
 _P: Final = "VARDIS-STATUS-"
 OK: Final = f"{_P}OK"
+#: By the beginning of a status that refuses a request: the number of its requirement in each group.
+_REFUSING: Final[dict[str, dict[str, str]]] = {
+    "VARIABLE-EXISTS": {"CRE": "02"}, "VARIABLE-DESCRIPTION-TOO-LONG": {"CRE": "04"},
+    "VALUE-TOO-LONG": {"CRE": "05", "UPD": "05"}, "EMPTY-VALUE": {"CRE": "06", "UPD": "06"},
+    "ILLEGAL-REPCOUNT": {"CRE": "07"}, "VARIABLE-DOES-NOT-EXIST": {"DEL": "02", "UPD": "02", "REA": "02", "DVA": "02"},
+    "NOT-PRODUCER": {"DEL": "03", "UPD": "03"}, "VARIABLE-IS-DELETED": {"DEL": "04", "UPD": "04", "REA": "03"},
+}  # fmt: skip
 
 
 class Situation(NamedTuple):
@@ -47,6 +54,13 @@ def expected(
         return [Expected(OK, "VD-DDB-02")]
     found = [each for one in situations for each in _in(one, group, params, limits, features)]
     return list(dict.fromkeys(found))
+
+
+def refused_by(method: str, status: str) -> tuple[str, ...]:
+    """Return the requirement that decides when a service refuses a request with a status; empty for others."""
+    group = _GROUPS.get(method, "")
+    number = _REFUSING.get(status.removeprefix(_P), {}).get(group)
+    return () if number is None else (f"VD-{group}-{number}",)
 
 
 def _in(one: Situation, group: str, params: Mapping[str, Any], limits: Limits, features: Features) -> list[Expected]:

@@ -174,7 +174,8 @@ class Driver:
         if event.octets:
             self._judge(self.model.beacon(event.octets, event.time))
         else:
-            self._judge(self.model.notified(event.method, event.params, event.time))
+            offset = self.executor.wall() - self.executor.now()
+            self._judge(self.model.notified(event.method, event.params, event.time, offset))
 
     def _settle(self) -> None:
         """Wait until the node has processed the frames that were sent, before a service depends on them."""

@@ -171,6 +171,8 @@ class NodeMachine(RuleBasedStateMachine):
 
     reached: ClassVar[Counter[tuple[str, str]]] = Counter()
     """The pairs (state of the model, event) of all sequences, with the number of their occurrences."""
+    themes: ClassVar[tuple[str, ...]] = _CHOSEN
+    """The themes of sequences, more frequent ones several times."""
     executed: ClassVar[Counter[str]] = Counter()
     """Number of sequences and steps."""
 
@@ -192,6 +194,7 @@ class NodeMachine(RuleBasedStateMachine):
     )
     def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any]) -> None:
         """Choose what the sequence is about, and begin."""
+        theme = self.themes[_CHOSEN.index(theme) % len(self.themes)]
         self.title = theme
         self.theme = THEMES[theme] or tuple(ACTIONS)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:

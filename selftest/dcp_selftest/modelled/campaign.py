@@ -10,6 +10,7 @@ from functools import partial
 import msgspec
 from dcp_conformance.stateful.corpus import corpus
 from dcp_conformance.stateful.driver import Counterexample, Driver, shorter
+from dcp_conformance.stateful.machine import NodeMachine
 from dcp_conformance.stateful.search import search
 from dcp_conformance.stateful.steps import Step
 from dcp_conformance.stateful.virtual import VirtualExecutor
@@ -36,8 +37,10 @@ class Searched(msgspec.Struct, frozen=True):
     """The counterexample as a table."""
 
 
-def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Searched:
-    """Search one faulty node."""
+def searched(
+    fault: Fault, *, sequences: int, seed: int, shrink: bool, machine: type[NodeMachine] = NodeMachine
+) -> Searched:
+    """Search one faulty node. ``machine`` draws the new sequences."""
     config, make = fault.config(), fault.make()
     began = time.process_time()
 
@@ -57,7 +60,14 @@ def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Search
             return Searched(fault, "run", found.finding.requirements, len(found.steps), number, seconds, str(found))
     if not sequences:
         return Searched(fault, "", seconds=time.process_time() - began)
-    result = search(lambda: VirtualExecutor(config, make=make), sequences=sequences, steps=10, seed=seed, shrink=shrink)
+    result = search(
+        lambda: VirtualExecutor(config, make=make),
+        sequences=sequences,
+        steps=10,
+        seed=seed,
+        shrink=shrink,
+        machine=machine,
+    )
     seconds = time.process_time() - began
     gc.collect()
     if result.counterexample is None:

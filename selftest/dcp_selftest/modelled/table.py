@@ -48,7 +48,7 @@ def _rows(results: Sequence[Searched]) -> Iterator[tuple[object, ...]]:
     for each in sorted(results, key=lambda each: order[each.fault.id]):
         mutant = all_mutants()[each.fault.id]
         by = each.by or ("`run --plan long`" if mutant.id in _LONG else "-")
-        named = ", ".join(each.requirements) + ("" if not each.by or _is_named(each) else " (another)")
+        named = (", ".join(each.requirements) or "-") + ("" if not each.by or _is_named(each) else " (another)")
         row = f"`{mutant.id}`", mutant.what, ", ".join(mutant.requirements), by, named
         yield *row, each.steps or "-", f"{each.seconds:.1f}"
 
