@@ -1,24 +1,29 @@
 """How fast ``dcp-conformance check`` judges, beside decoding alone, and how much memory it needs.
 
 ``python benchmarks/check.py [--beacons N ...] [--attack]``: recordings of a made-up bus of 30 nodes with 50 variables
-(``flights.py``) are judged in a process of their own each. Compare ratios within one run.
+(``flights.py``) are judged in a process of their own each, and from a file in two processes, as ``check`` does. Speeds
+are those of free processors: beacons for each processor second, of two processes for each second of the slower one.
+Compare ratios within one run.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
+import tempfile
 import time
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 from dcp_conformance.check.judge import Judge
+from dcp_conformance.check.recording import judge_versions
 from dcp_conformance.model.pics import Pics
 from flights import Attack, Flight
 from rich.console import Console
 from rich.table import Table
 
-from dcp_codec.capture import Frame
+from dcp_codec.capture import Frame, create_capture
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
 from dcp_codec.common.workers import completed
@@ -69,6 +74,21 @@ def measure(beacons: int, attack: bool) -> tuple[float, float, float, int]:
     return decoding, judging, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base) / 1024, found
 
 
+def measure_two(beacons: int, attack: bool) -> tuple[float, float]:
+    """Processor seconds of the two processes that judge a file."""
+    flight = (Attack if attack else Flight)(Codec(PROFILE), every=_EVERY)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "flight.pcap")
+        with create_capture(path) as writer:
+            for frame in flight.frames(beacons):
+                writer.write(frame)
+        before = time.process_time()
+        judge_versions(path, PROFILE, Pics(), jobs=2)
+        first = time.process_time() - before
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return first, used.ru_utime + used.ru_stime
+
+
 def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -76,14 +96,17 @@ def main() -> None:
     parser.add_argument("--attack", action="store_true", help="with a station that forges creations and requests")
     options = parser.parse_args()
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("beacons", "decode/s", "check/s", "check : decode", "memory MB", "findings"):
+    headings = ("beacons", "decode/s", "check/s", "check : decode", "memory MB", "findings", "two processes: check/s")
+    for heading in headings:
         table.add_column(heading, justify="right")
     for beacons in options.beacons:
         # In a process of its own, whose memory is measured.
         measured = completed(partial(measure, beacons), [options.attack], 1, start="spawn")
         _, (decoding, judging, memory, found) = next(measured)
+        _, (first, second) = next(completed(partial(measure_two, beacons), [options.attack], 1, start="spawn"))
         rates = (f"{beacons / decoding:,.0f}", f"{beacons / judging:,.0f}", f"{judging / decoding:.1f}")
-        table.add_row(f"{beacons:,}", *rates, f"{memory:.0f}", str(found))
+        two = f"{beacons / max(first, second):,.0f}"
+        table.add_row(f"{beacons:,}", *rates, f"{memory:.0f}", str(found), two)
     Console().print(table)
 
 

@@ -60,7 +60,8 @@ class Production:
             each.left = entry
         self._with.clear()
         self._places[entry.number] = self._base + len(self._states)
-        self._counts.append((self._counts[-1] if self._counts else 0) + (entry.number >= 0))
+        entry.count = (self._counts[-1] if self._counts else 0) + (entry.number >= 0)
+        self._counts.append(entry.count)
         self._states.append(entry)
 
     @property

@@ -401,15 +401,20 @@ class Ledger:
         found = [each for each in (*self._stale, *self._present()) if each.newest is not None and each.age >= least]
         return sorted((each for each in found if each.var_id in self._productions), key=_BY_VARIABLE)
 
-    def as_json(self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None) -> dict[str, Any]:
+    def as_json(
+        self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None, period_ns: float = 0
+    ) -> dict[str, Any]:
         """Return the states for programs and pages: times in intervals since ``begin``, nodes and variables by index.
 
-        ``representation``: the format of node identifiers. ``changes`` are rows of time difference, node, variable,
-        number (:data:`DELETED`, :data:`UNKNOWN`), frame, number of requests, index of the row of the state from which
-        it came and number of the frame that brought it (-1 and 0 if there is none, :func:`.chain.sources`);
-        ``producers`` are rows of time, variable, node. ``came``: source and frame of all states; None: unknown.
+        ``representation``: the format of node identifiers. ``came``: source and frame of all states; None: unknown.
+        ``period_ns``: as in :meth:`stale`. ``changes`` are rows of time difference, node, variable, number
+        (:data:`DELETED`, :data:`UNKNOWN`), frame, number of requests, index of the row of the state from which it came,
+        number of the frame that brought it (-1 and 0 if there is none, :func:`.chain.sources`), and the number of
+        values of the producer up to this one (-1: unknown). If the producer has left the state, the time of that, the
+        time of the node's last record with the state, and the time from which it was stale (-1: never) follow.
+        ``producers`` are rows of time, variable, node.
         """
-        begin, rows, last = self.begin or 0, [], 0
+        begin, rows, last, least = self.begin or 0, [], 0, patience(period_ns)
         nodes: dict[bytes, int] = {}
         variables: dict[int, int] = {}
         entries = self.entries()
@@ -418,7 +423,13 @@ class Ledger:
             at = max(each.time - begin, 0) // self.interval
             place = nodes.setdefault(each.node, len(nodes)), variables.setdefault(each.var_id, len(variables))
             row = -1 if source is None else index[id(source)]
-            rows.append((at - last, *place, each.number, each.frame, each.asked, row, frame))
+            compared = each.var_id in self._productions
+            lag = [each.count if compared else -1]
+            if compared and each.left is not None:
+                stale = -1 if each.newest is None or each.age < least else each.left.time + least
+                lag += [max(t - begin, 0) // self.interval for t in (each.left.time, each.until)]
+                lag.append(-1 if stale < 0 else max(stale - begin, each.time - begin) // self.interval)
+            rows.append((at - last, *place, each.number, each.frame, each.asked, row, frame, *lag))
             last = at
         producers = [
             ((at - begin) // self.interval, variables[var_id], nodes.setdefault(node, len(nodes)))
@@ -431,6 +442,7 @@ class Ledger:
             "interval_ns": self.interval,
             "nodes": [node_id_text(node, representation) for node in nodes],
             "variables": list(variables),
+            "patience_ns": least,
             "changes": rows,
             "producers": producers,
         }

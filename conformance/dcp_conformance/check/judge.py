@@ -323,7 +323,8 @@ class Judge:
         ledger = self.ledger
         hops = sources(ledger.entries(), ledger.producers, self.hears)
         came = [(hop.source, 0 if hop.frame is None else hop.frame[0]) for hop in hops]
-        return ledger.as_json(self._codec.profile.types.node_id.representation, came)
+        period = self._context.pics.pixit.beacon_period_ms * 1e6
+        return ledger.as_json(self._codec.profile.types.node_id.representation, came, period)
 
     def _links(self) -> Iterator[LinkResult]:
         """Yield the links between nodes for which the recording shows either reactions or their absence."""

@@ -82,6 +82,9 @@ def render(run: RunResult, codec: Codec | None) -> str:
         readings=list(observed_readings(run)),
         known=known,
         holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
+        patience=run.holdings.get("patience_ns", 0) / 1e9,
+        stale=[check for case in run.cases if case.id == "CK_NET_AGREES" for check in case.checks if check.frames],
+        moment=moment,
         links=_links(run),
     )
 

@@ -38,37 +38,33 @@
     const DELETED = -1, ASKED = -2, nodes = data.nodes, variables = data.variables;
     const order = variables.map((_, i) => i).sort((a, b) => variables[a] - variables[b]);
     const columns = nodes.map((_, i) => i).sort((a, b) => nodes[a] < nodes[b] ? -1 : 1);
-    // Times of changes in intervals of data.interval_ns; each is a position of the slider.
-    const times = []; let clock = 0;
-    for (const change of data.changes) { clock += change[0]; if (times[times.length - 1] !== clock) times.push(clock); }
-    const end = Math.floor((data.end_ns - data.begin_ns) / data.interval_ns);
-    if (end > times[times.length - 1]) times.push(end);
-    const seconds = t => (t * data.interval_ns / 1e9).toFixed(data.interval_ns < 1e7 ? 3 : 1);
+    // The states; times are in intervals of data.interval_ns. Each change of a state is a position of the slider.
+    const rows = [], moments = new Set(); let clock = 0;
+    for (const [step, n, v, number, frame, asked, source, by, count, left = -1, until = -1, stale = -1] of data.changes) {
+      clock += step; moments.add(clock);
+      rows.push({ t: clock, n, v, number, frame, asked, source, by, count, left, until, stale });
+      if (stale >= 0) moments.add(stale);
+    }
+    moments.add(Math.floor((data.end_ns - data.begin_ns) / data.interval_ns));
+    const times = [...moments].sort((a, b) => a - b);
+    const seconds = t => (t * data.interval_ns / 1e9).toFixed(data.interval_ns < 1e7 ? 3 : 1), short = t => (t * data.interval_ns / 1e9).toFixed(1);
     const replay = visit => {
-      const held = new Map(), producer = new Map(), since = new Map(), bad = new Set();
-      let p = 0, c = 0, now = 0, i = 0;
-      const judge = v => {
-        const mine = producer.get(v), right = mine === undefined ? undefined : held.get(v * nodes.length + mine);
-        for (const n of columns) {
-          const key = v * nodes.length + n, has = held.get(key);
-          const wrong = right !== undefined && has !== undefined && has !== right;
-          if (wrong && !bad.has(key)) { bad.add(key); since.set(key, now); }
-          if (!wrong) bad.delete(key);
-        }
-      };
+      const held = new Map(), producer = new Map();
+      let p = 0, i = 0;
       for (const t of times) {
-        now = t;
-        const touched = new Set();
-        while (p < data.producers.length && data.producers[p][0] <= t) { producer.set(data.producers[p][1], data.producers[p][2]); touched.add(data.producers[p++][1]); }
-        for (; i < data.changes.length; i++) {
-          const [step, n, v, number] = data.changes[i];
-          if (c + step > t) break;
-          c += step; held.set(v * nodes.length + n, number); touched.add(v);
-        }
-        touched.forEach(judge);
-        if (visit(t, held, producer, bad, since) === false) return;
+        while (p < data.producers.length && data.producers[p][0] <= t) { producer.set(data.producers[p][1], data.producers[p][2]); p++; }
+        for (; i < rows.length && rows[i].t <= t; i++) held.set(rows[i].v * nodes.length + rows[i].n, rows[i]);
+        if (visit(t, held, producer) === false) return;
       }
     };
+    // How far a state is behind that of the producer: values and time, as the ledger counts them.
+    const lag = (row, t, held, producer) => {
+      if (!row || row.left < 0 || row.left > t) return null;
+      const own = held.get(row.v * nodes.length + producer.get(row.v));
+      return { age: Math.max(Math.min(t, row.until) - row.left, 0), values: own && own.count >= row.count ? own.count - row.count : 0, deleted: own !== undefined && own.number === DELETED, stale: row.stale >= 0 && row.stale <= t };
+    };
+    const words = behind => [behind.values || !behind.deleted ? behind.values + (behind.values === 1 ? " value" : " values") + " behind" : "", behind.deleted ? "deleted by the producer" : ""].filter(Boolean).join(" and ") + ", for " + short(behind.age) + " s";
+    const brief = behind => [behind.values || !behind.deleted ? "\u2212" + behind.values : "", behind.deleted ? "\u00d7" : ""].filter(Boolean).join(" ");
     const cells = new Map(), head = table.createTHead().insertRow(), body = table.createTBody();
     const heading = (row, text, scope, title) => { const th = document.createElement("th"); th.scope = scope; th.textContent = text; th.title = title; row.append(th); };
     heading(head, "variable", "col", "");
@@ -77,32 +73,48 @@
       const row = body.insertRow(); heading(row, variables[v], "row", "variable " + variables[v]);
       for (const n of columns) cells.set(v * nodes.length + n, row.insertCell());
     }
-    const differs = []; let place = 0;
-    replay((t, held, producer, bad) => { differs[place++] = bad.size > 0; });
+    // Number of stale states at each moment. A state is stale until the node's next state of the variable.
+    const stale = []; const last = new Map(), open = new Set(); let place = 0;
+    replay((t, held) => {
+      for (const [key, row] of held) if (last.get(key) !== row) { last.set(key, row); open.delete(key); if (row.stale >= 0) open.add(key); }
+      stale[place++] = [...open].filter(key => held.get(key).stale <= t).length;
+    });
     const draw = () => {
       const goal = times[at.value];
-      replay((t, held, producer, bad, since) => {
+      replay((t, held, producer) => {
         if (t < goal) return true;
+        let worst = null, late = 0, bad = 0;
         for (const [key, cell] of cells) {
-          const number = held.get(key), wrong = bad.has(key), own = producer.get(Math.floor(key / nodes.length)) === key % nodes.length;
-          const text = number === undefined ? "" : number === DELETED ? "\u00d7" : number === ASKED ? "?" : String(number);
-          cell.textContent = wrong ? "\u2260 " + text : text;
-          cell.className = wrong ? "bad" : own ? "own" : "";
-          cell.title = wrong ? "differs for " + seconds(t - since.get(key)) + " s" : "";
+          const row = held.get(key), behind = lag(row, t, held, producer), own = producer.get(Math.floor(key / nodes.length)) === key % nodes.length;
+          cell.textContent = row === undefined ? "" : row.number === DELETED ? "\u00d7" : row.number === ASKED ? "?" : String(row.number);
+          cell.className = own ? "own" : "";
+          cell.title = behind ? words(behind) : "";
+          if (!behind) continue;
+          cell.className = behind.stale ? "bad" : "late";
+          if (!behind.stale) { late++; cell.textContent += " " + brief(behind); continue; }
+          bad++;
+          if (!worst || behind.age > worst.age) worst = behind;
+          const small = document.createElement("small");
+          small.textContent = brief(behind) + ", " + short(behind.age) + " s";
+          cell.append(small);
         }
-        const long = [...bad].reduce((most, key) => Math.max(most, t - since.get(key)), 0);
-        when.textContent = "+" + seconds(t) + " s: " + (bad.size ? bad.size + (bad.size === 1 ? " number differs" : " numbers differ") + " from the producer's, the longest for " + seconds(long) + " s" : "all numbers equal the producers'");
+        const many = (count, text) => count + (count === 1 ? " state is " : " states are ") + text;
+        let text = bad ? many(bad, "stale") + (bad === 1 ? ": " : ", the oldest ") + words(worst) : "no state is stale";
+        if (late) text += "; " + many(late, "behind for a shorter time");
+        when.textContent = "+" + seconds(t) + " s: " + text;
         return false;
       });
     };
     const jump = step => () => {
       let i = Number(at.value) + step;
-      while (i > 0 && i < times.length - 1 && !differs[i]) i += step;
+      while (i > 0 && i < times.length - 1 && !stale[i]) i += step;
       at.value = Math.min(Math.max(i, 0), times.length - 1); draw();
     };
+    for (const button of document.querySelectorAll("button[data-second]")) button.addEventListener("click", () => {
+      const goal = Math.ceil((button.dataset.second * 1e9 + data.patience_ns) / data.interval_ns);
+      at.value = Math.max(times.findIndex(t => t >= goal), 0); draw(); at.scrollIntoView({ block: "center" });
+    });
     // A click on a cell tells how its value came there; a row of changes names the row that it came from.
-    const rows = []; let passed = 0;
-    for (const [step, n, v, number, frame, asked, source, by] of data.changes) { passed += step; rows.push({ t: passed, n, v, number, frame, asked, source, by }); }
     const why = document.querySelector("#holds-why");
     const tell = key => {
       const v = Math.floor(key / nodes.length), n = key % nodes.length, goal = times[at.value];
@@ -120,10 +132,15 @@
       }
     };
     for (const [key, cell] of cells) cell.addEventListener("click", () => tell(key));
-    at.max = times.length - 1; at.value = at.max;
+    // Begin at the last moment with the most stale states; at the end if there are none.
+    at.max = times.length - 1;
+    const most = stale.reduce((a, b) => Math.max(a, b), 0);
+    at.value = stale.lastIndexOf(most);
     at.addEventListener("input", draw);
-    document.querySelector("#holds-before").addEventListener("click", jump(-1));
-    document.querySelector("#holds-next").addEventListener("click", jump(1));
+    for (const [id, step] of [["#holds-before", -1], ["#holds-next", 1]]) {
+      const button = document.querySelector(id);
+      button.hidden = most === 0; button.addEventListener("click", jump(step));
+    }
     draw();
   }
 })();
