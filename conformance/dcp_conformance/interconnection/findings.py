@@ -11,7 +11,7 @@ from dcp_conformance.model.pics import Testing
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.known import Cause, Failure, Known, Misread, Question
+from dcp_conformance.test_system.known import UNREADABLE, Cause, Failure, Known, Misread, Question
 from dcp_conformance.test_system.session import FLOOR, Session
 from dcp_conformance.upper_tester.patience import NEVER
 
@@ -75,13 +75,17 @@ class Findings(Known):
 def stands(session: Session, case: Case, checks: Iterable[Check]) -> bool:
     """Return whether another execution of an inconclusive case cannot decide it.
 
-    That is so if what was missing was missing at the start of the run, or is a service that is never answered.
+    That is so if what was missing was missing at the start of the run, or is a service that is never answered, or if
+    beacons cannot be read because of a rule that they broke at the start.
     """
     undecided = [check.observed for check in checks if check.verdict is Verdict.INCONCLUSIVE]
     contact = Findings.of(session).contact
     if contact is not None and contact.mute(case.needs.entities):
         return True
-    return bool(undecided) and all(any(each in text for each in (*BEGINNING, NEVER)) for text in undecided)
+    lasting = [*BEGINNING, NEVER]
+    if contact is not None and contact.violations:
+        lasting.append(UNREADABLE)
+    return bool(undecided) and all(any(each in text for each in lasting) for text in undecided)
 
 
 def prepare(session: Session) -> bool:

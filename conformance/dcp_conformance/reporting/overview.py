@@ -70,12 +70,14 @@ def stated(run: RunResult) -> str:
 def sentence(fault: Probable) -> str:
     """Return what a probable fault says about the implementation.
 
-    It is a statement only if several cases fail as with the fault, at least half of them with the same observation;
-    without "probably" only if all cases agree. Otherwise the sentence contains only which cases fail that also fail for
-    a node with the fault.
+    It names the requirement as a fact only if all failures agree with the fault. The behaviour behind it is always
+    "probably": a fault that is not in the dictionary can fail the same cases with the same observations. If fewer than
+    half of several cases agree, the sentence contains only which cases fail that also fail for a node with the fault.
     """
+    if fault.certain:
+        return f"the implementation violates {', '.join(violated(fault))}: it probably {fault.what}"
     if fault.likely:
-        return f"the implementation {'' if fault.certain else 'probably '}{fault.what}"
+        return f"the implementation probably {fault.what}"
     if len(fault.explains) == 1:
         text = f"{fault.explains[0]} fails, as it does for a node that {fault.what}"
     else:
@@ -88,6 +90,12 @@ def sentence(fault: Probable) -> str:
     if fault.missing:
         contrary.append(f"{len(fault.missing)} that should fail passed")
     return f"{text}, but {' and '.join(contrary)}" if contrary else text
+
+
+def violated(fault: Probable) -> tuple[str, ...]:
+    """Return the requirements of the fault that its best failed check names; without any, all of them."""
+    named = () if fault.check is None else fault.check.requirements
+    return tuple(each for each in named if each in fault.requirements) or fault.requirements
 
 
 def certainty(fault: Probable) -> str:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import REACTION_FLOOR
 
 from .traffic import Event
+
+UNREADABLE: Final = "judged by the rules for every beacon"
+"""End of the observation of a case that beacons leave undecided because they cannot be read."""
 
 Question = Literal["summary", "create", "request"]
 """Kinds of stimulus that VarDis must answer with a beacon."""

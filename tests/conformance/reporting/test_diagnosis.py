@@ -174,7 +174,7 @@ def test_the_observation_decides_between_faults_with_the_same_cases() -> None:
     (found,) = explain(results("abc"), known).faults
     assert (found.fault, found.alike, found.alternatives) == ("Y", 3, ())
     assert found.certain
-    assert sentence(found) == "the implementation does Y"
+    assert sentence(found) == "the implementation violates VD-RU-03: it probably does Y"
 
 
 def test_a_statement_is_only_probable_if_an_observation_differs_or_an_expected_failure_lacks() -> None:
@@ -190,7 +190,7 @@ def test_a_statement_is_only_probable_if_an_observation_differs_or_an_expected_f
     (found,) = explain(results("abcd", "xyz"), Dictionary((fault("X", *"abc"),))).faults
     assert sentence(found) == "the implementation probably does X"
     (found,) = explain(results("abc", "xyz"), Dictionary((fault("X", *"abc"),))).faults
-    assert sentence(found) == "the implementation does X"
+    assert sentence(found) == "the implementation violates VD-RU-03: it probably does X"
 
 
 def test_cases_with_other_observations_do_not_describe_the_implementation() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.target import Target as Opened
-from dcp_conformance.execution.target import TargetOptions, describe, open_target
+from dcp_conformance.execution.target import TargetOptions, describe, open_target, say_contradictions
 from dcp_conformance.fuzz.findings.artefact import save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, effect_of
 from dcp_conformance.fuzz.steps import Effect
@@ -77,6 +78,7 @@ def run_search(
         return _told(found, codec.profile.name, "our own node in this process", words, where.seed, coverage, directory)
     with open_target(where) as opened:
         opened.runner.prepare()
+        say_contradictions(opened.runner, functools.partial(say, err=True))
         live = LiveTarget(opened)
         found = _live(live, sequences=sequences, steps=steps, seed=where.seed, database=database)
         return _told(found, opened.codec.profile.name, live.name, words, where.seed, coverage, directory)

@@ -18,7 +18,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.frames import Frames
-from dcp_conformance.reporting.overview import certainty, sentence
+from dcp_conformance.reporting.overview import certainty, sentence, violated
 
 from .stimulus import Step, needs_calls, stimulus
 
@@ -146,9 +146,11 @@ def _violated(fault: Probable) -> tuple[str, ...]:
 
 
 def _title(fault: Probable, sut: str) -> str:
-    """Return the fault if it is certain; else what was expected and observed, which does not depend on the fault."""
+    """Return the fault if it is likely; else what was expected and observed, which does not depend on the fault."""
+    if fault.certain:
+        return f"{sut} violates {', '.join(violated(fault))}: it probably {fault.what}"
     if fault.likely or fault.check is None:
-        return f"{sut} {'' if fault.certain else 'probably '}{fault.what}"
+        return f"{sut} probably {fault.what}"
     observed = f"; observed {fault.check.observed}" if fault.check.observed else ""
     return f"{sut}: expected {fault.check.expected}{observed}"
 
