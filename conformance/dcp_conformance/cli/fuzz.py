@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -64,7 +65,8 @@ def _live(options: dict[str, Any]) -> int:
         return write_tests(codec, Batches(drawn, size), options)
     with open_target(where) as opened:
         opened.runner.prepare()
-        target = LiveTarget(opened, rate=options["rate"] or RATE)
+        told = functools.partial(say, err=True) if where.foreign else None
+        target = LiveTarget(opened, rate=options["rate"] or RATE, say=told)
         options["rate"] = None
         # This also determines the node identifier, which the sequences use.
         try:

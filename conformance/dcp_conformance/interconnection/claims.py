@@ -1,4 +1,4 @@
-"""Claims of the PICS and PIXIT that contradict what is heard of the implementation or what it reports."""
+"""Contradictions of the claims of PICS and PIXIT to what is heard of the implementation, or what it reports."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ _PERIOD, _NETWORK, _NODE = "BPPAR_BEACON_PERIOD", "BPPAR_NETWORK_ID", "BPPAR_OWN
 _INTERVALS: Final = 4
 _FACTOR: Final = 1.6
 _THOUSAND: Final = 1000
+#: End of the reason for ignoring a frame with the own node identifier, in the drops of UT-Status.
+_OWN: Final = "own-beacon"
 
 
 def contradictions(pics: Pics, bench: Bench, parameters: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[str]:
@@ -31,6 +33,21 @@ def contradictions(pics: Pics, bench: Bench, parameters: Mapping[str, Any], abou
         others = sorted({each.sender.hex(":") for each in bench.receiver.others if each.sender is not None})
         yield f"pixit.node_id is {claimed}, but only beacons of {', '.join(others[:3])} are heard"
     yield from _period(pics.pixit.beacon_period_ms, bench, parameters.get(_PERIOD))
+
+
+def ignored(drops: object) -> Iterator[str]:
+    """Yield a sentence if the implementation has ignored frames because of its own identifier.
+
+    ``drops``: that member of UT-Status, which has numbers of ignored frames and records by reason.
+    """
+    reasons = drops if isinstance(drops, Mapping) else {}
+    count = sum(number for why, number in reasons.items() if why.endswith(_OWN) and isinstance(number, int))
+    if count:
+        frames = "frame" if count == 1 else "frames"
+        yield (
+            f"the implementation has ignored {count} {frames} with its own node identifier (UT-Status): another node "
+            "on the link uses the same one"
+        )
 
 
 def _period(claimed: float, bench: Bench, reported: object) -> Iterator[str]:

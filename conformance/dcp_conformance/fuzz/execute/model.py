@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +31,7 @@ from dcp_conformance.stateful.steps import Step
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_conformance.test_system.bench import Bench
 
-from .live import LiveTarget
+from .live import LiveTarget, NotAliveError
 
 
 class ModelTarget:
@@ -77,7 +78,12 @@ def run_search(
         return _told(found, codec.profile.name, "our own node in this process", words, where.seed, coverage, directory)
     with open_target(where) as opened:
         opened.runner.prepare()
-        live = LiveTarget(opened)
+        live = LiveTarget(opened, say=functools.partial(say, err=True) if where.foreign else None)
+        try:
+            live.prepare()
+        except NotAliveError as error:
+            say(f"dcp-conformance: {error}", err=True)
+            return 3
         found = _live(live, sequences=sequences, steps=steps, seed=where.seed, database=database)
         return _told(found, opened.codec.profile.name, live.name, words, where.seed, coverage, directory)
 
