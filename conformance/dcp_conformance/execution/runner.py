@@ -31,7 +31,7 @@ from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed
-from .survival.attribution import Trial, attribute, blamed, came_back, with_failures_of
+from .survival.attribution import Trial, attribute, blamed, came_back, kinds, with_failures_of
 from .survival.life import Life
 from .survival.readiness import Readiness
 
@@ -269,7 +269,7 @@ class Runner:
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks, executions=executions)
             if self._reset_mode() != "restart":
-                self._recent.append(_Done(trial, result, self.session.lower.now()))
+                self.remember(trial, result, self.session.lower.now())
             self._refuse(case, trial)
             return result
         result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
@@ -524,8 +524,15 @@ class Runner:
         return msgspec.structs.replace(result, death=trial.loss.group) if died else None
 
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
-        """Remember a case that passed side by side and ended at ``ended`` (ns): it may cause a later death."""
+        """Remember a case that the implementation survived and that ended at ``ended`` (ns).
+
+        It may cause a later death. Its valid frames are not the cause of a death in a later case that also calls
+        services.
+        """
         self._recent.append(_Done(trial, result, ended))
+        sent = (each for each in trial.bench.traffic.events if each.direction == "sent")
+        found = {kinds(self.session.codec, each) for each in sent}
+        self.session.survived |= {each for each in found if each is not None}
 
     def check_life(self, case: Case, during: Sequence[str]) -> str:
         """Check whether the implementation is alive, and restart it if it is not.
