@@ -304,7 +304,7 @@ def likely_stimulus(case: Case, bench: Bench) -> Event | None:
 def _call_before_harmless(case: Case, bench: Bench, tidying: Container[int]) -> Event | None:
     """Return the last call after the last beacon if all frames after that beacon are of kinds survived before."""
     events, survived = bench.traffic.events, bench.session.survived
-    if case.kind is not Kind.VALID or case.robustness or case.destructive:
+    if case.kind is Kind.INVALID or case.robustness or case.destructive:
         return None
     last = max((place for place, each in enumerate(events) if each.direction == "heard"), default=-1)
     later = [(place, each) for place, each in enumerate(events) if place > last]
