@@ -30,6 +30,9 @@ _BLOCK = 512
 _PR_SET_PDEATHSIG = 1
 #: The line with the kind and the place of a fault in a report of AddressSanitizer or UndefinedBehaviorSanitizer.
 _SANITIZER = re.compile(rb"SUMMARY: \w+Sanitizer: [^\n]*|[^\n]*: runtime error: [^\n]*")
+#: A frame in the traceback of an exception in Python, and the first line of the traceback.
+_FRAME = re.compile(r'\s+File "(?P<file>.+)", line (?P<line>\d+)')
+_TRACEBACK = "Traceback (most recent call last):"
 #: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
 _PUNCH_HOLE = 0x01 | 0x02
 
@@ -152,10 +155,25 @@ class LastLines:
         self._rest = rest[:_LINE]
 
     def shown(self) -> str:
-        """Return the last lines of output, as the end of an error message."""
+        """Return the last lines of output, as the end of an error message. A traceback of Python becomes one line."""
         lines = [*self._lines, self._rest] if self._rest.strip() else [*self._lines]
-        text = b"\n".join(lines[-_LINES:]).decode(errors="replace").strip()
+        text = b"\n".join(lines[-_LINES:]).decode(errors="replace").strip("\n")
+        text = "\n".join(_without_traceback(text.split("\n"))).strip()
         return f"; its output: {printable(text)}" if text else "; it wrote nothing"
+
+
+def _without_traceback(lines: list[str]) -> list[str]:
+    """Replace the traceback of an exception in Python by the exception, with the file and line that raised it."""
+    frames = [(place, frame) for place, line in enumerate(lines) if (frame := _FRAME.match(line))]
+    if not frames:
+        return lines
+    last, frame = frames[-1]
+    end = next((place for place in range(last + 1, len(lines)) if not lines[place].startswith(" ")), None)
+    if end is None:
+        return lines
+    # The first line of a long traceback may be lost.
+    begin = lines.index(_TRACEBACK) if _TRACEBACK in lines else 0
+    return [*lines[:begin], f"{lines[end]} ({frame['file']}, line {frame['line']})", *lines[end + 1 :]]
 
 
 def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: bool = True) -> None:

@@ -14,7 +14,7 @@ from typing import Final
 
 from dcp_codec.common.atomic_write import write_whole
 
-SECTIONS: Final = ("mutants", "generated", "variants", "vectors")
+SECTIONS: Final = ("mutants", "model", "generated", "variants", "vectors")
 """The names of sections in the order of the document."""
 _PREFACE: Final = (
     "# Tests of the test suite\n\nMade by `make selftest-doc`; do not edit. Each section names its own command.\n"

@@ -14,10 +14,12 @@ from dcp_conformance.stateful.driver import Counterexample, Driver
 from dcp_conformance.stateful.search import search
 from dcp_conformance.stateful.steps import Beacon, Call, Records, Report, Step, Wait
 from dcp_conformance.stateful.virtual import VirtualExecutor
+from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.codec import get_codec
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.config import NodeConfig
+from dcp_stack.effects import PayloadTransmitted
 
 CONFIG = reference_config(get_codec("dcp-2.0"))
 DROPTAIL = "BP_QMODE_QUEUE_DROPTAIL"
@@ -159,5 +161,54 @@ def test_notifications_of_a_client_whose_queue_is_unknown_count() -> None:
     assert not list(model.confirmed("BP-RegisterProtocol", registering(3).params | {"name": "x"}, ok, 1))
     model.unknown_outcome("BP-TransmitPayload", {"protId": 0})
     assert not list(model.beacon([(0, b"1234")], 40, None, 2))
-    assert not list(model.transmitted(0))
+    assert not list(model.transmitted(0, 3))
     assert not list(model.unconfirmed(10_000 * MS))
+
+
+@pytest.mark.req("BP-PTI-01")
+def test_a_notification_without_a_beacon_is_named_although_beacons_may_be_late() -> None:
+    def _submit(self: Any, client: Any, payload: bytes, now: int) -> Any:
+        before = len(client.queue)
+        status = BeaconingProtocol._submit(self, client, payload, now)
+        if before >= client.registration.max_entries:
+            self._emit(PayloadTransmitted(client.protocol_id, now))
+        return status
+
+    period = CONFIG.bp.beacon_period_ms * MS
+    timing = Timing(period=period, patience=12 * period, flight=period // 4, notice=period // 4, late=period // 4)
+    steps = (registering(2, mode="BP_QMODE_QUEUE_DROPHEAD"), Wait(4), submitting(3), Wait(6), Wait(2))
+    for make, expected in ((plain_node, ()), (with_bp(_submit=_submit), ("BP-PTI-01",))):
+        try:
+            Driver(VirtualExecutor(CONFIG, make=make, timing=timing)).run(steps)
+            found: tuple[str, ...] = ()
+        except Counterexample as error:
+            found = error.finding.requirements
+        assert found == expected
+
+
+@pytest.mark.req("SRP-RX-01")
+@pytest.mark.parametrize("excess", [1, -1])
+def test_a_report_of_a_wrong_length_does_not_renew_an_entry(excess: int) -> None:
+    assert judged(*_renewed(excess)) == ()
+    found = judged(*_renewed(excess), make=all_mutants()["M-SRP-RX-01-long-record-renews"].make)
+    assert ("SRP-RUN-02" in found) is (excess > 0)
+
+
+def _renewed(excess: int) -> tuple[Step, ...]:
+    again = (Wait(20), Beacon(0, (Report(0, 6, excess=excess),)))
+    return (Beacon(0, (Report(0, 5),)), *again, *again, Wait(10))
+
+
+@pytest.mark.req("BP-PAR-06")
+def test_a_rejected_period_leaves_the_one_that_is_set() -> None:
+    values = [Call("BP-SetParameter", {"name": "BPPAR_BEACON_PERIOD", "value": value}) for value in (400, -100)]
+    steps = (registering(2, mode="BP_QMODE_REPEAT"), submitting(1), *values, Wait(130))
+    assert judged(*steps) == ()
+    assert judged(*steps, make=all_mutants()["M-BP-PAR-06-rejected-default"].make) == ("BP-PAR-02", "BP-TX-01")
+
+
+@pytest.mark.req("SRP-RX-03")
+def test_both_reports_of_a_beacon_are_expected() -> None:
+    both = Beacon(0, (Report(0, 5), Report(1, 5)))
+    assert judged(both) == ()
+    assert "SRP-RX-03" in judged(both, make=all_mutants()["M-SRP-RX-03-first-of-beacon"].make)

@@ -17,10 +17,10 @@ import random
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
@@ -46,6 +46,8 @@ def hit(numbers):
 """
 #: Seconds of wall time for the tests of a part on one change.
 LONGEST = 1500.0
+#: CPU seconds of the tests that are tried with each change alone.
+CHEAP = 40.0
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,20 @@ class Clone:
         )  # fmt: skip
         return done.returncode, done.stdout
 
+    @contextmanager
+    def changed(self, *changes: Change) -> Iterator[None]:
+        """Make the changes in the tree, and undo them at the end."""
+        paths = {change.path: (self.folder / change.path).read_bytes() for change in changes}
+        try:
+            for change in sorted(changes, key=lambda each: each.start, reverse=True):
+                path = self.folder / change.path
+                source = path.read_bytes()
+                path.write_bytes(source[: change.start] + change.after.encode() + source[change.end :])
+            yield
+        finally:
+            for name, source in paths.items():
+                (self.folder / name).write_bytes(source)
+
     def noticed_by(self, items: list[str], *parts: str) -> str:
         """The first of the items that fails; empty if none does."""
         if not items:
@@ -214,26 +230,114 @@ class Clone:
         status, output = self.run(["env", "PYTHONPATH=tests/meta", *command, *files])
         if status in (0, 5):
             return ""
-        failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return failed[0][:150] if failed else f"status {status}: {output.strip()[-150:]}"
+        failed = _failures(output)
+        return failed[0] if failed else f"status {status}: {output.strip()[-150:]}"
 
-    def judge(self, change: Change, reached: Reached) -> tuple[str, str]:
-        """Return the part that notices the change (``core``, ``other`` or ``-``) and the test."""
-        path = self.folder / change.path
-        source = path.read_bytes()
-        path.write_bytes(source[: change.start] + change.after.encode() + source[change.end :])
-        try:
-            items = reached.of(change)
-            if found := self.noticed_by(items, "core"):
-                return "core", found
-            status, output = self.run([".venv/bin/mypy"])
-            if status:
-                return "core", f"mypy: {output.splitlines()[0][:120]}"
-            if found := self.noticed_by(items, *PARTS[1:]):
-                return "other", found
-            return "-", f"{len(items)} items execute the statement"
-        finally:
-            path.write_bytes(source)
+    def failures(self, *parts: str) -> set[str]:
+        """Run parts of the tests, and return the items that fail."""
+        found = set[str]()
+        for part in parts:
+            workers = ["-n", "6", "--dist", "loadfile"] if part == "links" else ["-n", "2"]
+            status, output = self.run([".venv/bin/pytest", "-q", *workers, f"--part={part}"], 3 * LONGEST)
+            found.update(_failures(output))
+            print(f"  {part}: status {status}, {output.splitlines()[-1]}", flush=True)
+        return found
+
+
+def _failures(output: str) -> list[str]:
+    """The items that the summary of pytest names."""
+    return [
+        line.split(" ", 1)[1].partition(" - ")[0]
+        for line in output.splitlines()
+        if line.startswith(("FAILED ", "ERROR "))
+    ]
+
+
+class Judge:
+    """Judges changes in clones, and keeps the verdicts in a file."""
+
+    def __init__(self, file: Path, clones: list[Clone], reached: Reached) -> None:
+        self._file = file
+        self._clones = Queue[Clone]()
+        for clone in clones:
+            self._clones.put(clone)
+        self._jobs = len(clones)
+        self._reached = reached
+        self.verdicts: dict[str, tuple[str, str]] = json.loads(file.read_text()) if file.exists() else {}
+        """By change: the part that notices it (``core``, ``other``, ``-``), and the test."""
+
+    def left(self, changes: list[Change]) -> list[Change]:
+        """The changes without a verdict."""
+        return [each for each in changes if str(each) not in self.verdicts]
+
+    def alone(self, changes: list[Change]) -> None:
+        """Stage 1."""
+
+        def attempt(clone: Clone, change: Change) -> str:
+            cost, cheap = 0.0, list[str]()
+            for item in self._reached.of(change):
+                cost += self._reached.costs[item]
+                if cost > CHEAP and cheap:
+                    break
+                cheap.append(item)
+            if found := clone.noticed_by(cheap, "core"):
+                return found
+            status, output = clone.run([".venv/bin/mypy"])
+            return f"mypy: {output.splitlines()[0][:120]}" if status else ""
+
+        self._each("core", attempt, changes)
+
+    def together(self, changes: list[Change], verdict: str, *parts: str) -> None:
+        """Stages 2 and 3."""
+        while changes:
+            apart = _apart(changes)
+            print(f"{len(apart)} of {len(changes)} changes together", flush=True)
+            clone = self._clones.get()
+            with clone.changed(*apart):
+                failed = clone.failures(*parts)
+            self._clones.put(clone)
+            unknown = failed - {item for items in self._reached.tests.values() for item in items}
+
+            def attempt(clone: Clone, change: Change, failed: set[str] = failed, unknown: set[str] = unknown) -> str:
+                items = [item for item in self._reached.of(change) if item in failed]
+                return clone.noticed_by([*items, *sorted(unknown)], *parts)
+
+            self._each(verdict, attempt, apart if failed else [])
+            noticed = len(apart) - len(self.left(apart))
+            if not noticed and len(apart) == len(changes):
+                return
+            changes = self.left(changes) if noticed else [each for each in changes if each not in apart]
+
+    def _each(self, verdict: str, attempt: Callable[[Clone, Change], str], changes: list[Change]) -> None:
+        """Try each change alone, several at a time; store those that are noticed."""
+
+        def judge(change: Change) -> str:
+            clone = self._clones.get()
+            try:
+                with clone.changed(change):
+                    return attempt(clone, change)
+            finally:
+                self._clones.put(clone)
+
+        with ThreadPoolExecutor(self._jobs) as pool:
+            for change, found in zip(changes, pool.map(judge, changes), strict=True):
+                print(f"{verdict if found else '...':5} {change}\n      {found}", flush=True)
+                if found:
+                    self.store(change, verdict, found)
+
+    def store(self, change: Change, verdict: str, test: str) -> None:
+        """Keep the verdict on the change."""
+        self.verdicts[str(change)] = verdict, test
+        self._file.write_text(json.dumps(self.verdicts, indent=1))
+
+
+def _apart(changes: list[Change]) -> list[Change]:
+    """Changes that do not overlap."""
+    taken: list[Change] = []
+    for change in changes:
+        if not any(each.path == change.path and each.start < change.end and change.start < each.end for each in taken):
+            taken.append(change)
+    return taken
 
 
 # -- as a plugin of pytest ---------------------------------------------------------------------------------------------
@@ -255,7 +359,6 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", type=int, default=150, help="number of changes (default 150)")
     parser.add_argument("--jobs", type=int, default=2, help="changes that are tried at the same time (default 2)")
-    parser.add_argument("--seconds", type=float, default=1e9, help="begin no change later than this")
     parser.add_argument("--list", action="store_true", help="only print the changes")
     arguments = parser.parse_args()
     paths = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -266,28 +369,19 @@ def main() -> int:
         print(*drawn, sep="\n")
         return 0
     reached = Reached.record(arguments.folder, drawn, f"reached-{arguments.seed}-{arguments.n}")
-    counted: Counter[str] = Counter()
-    begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutation-") as temporary:
-        clones: Queue[Clone] = Queue()
-        for number in range(arguments.jobs):
-            clones.put(Clone(Path(temporary) / f"clone{number}"))
-
-        def attempt(change: Change) -> tuple[str, str] | None:
-            if time.monotonic() > begun + arguments.seconds:
-                return None
-            clone = clones.get()
-            try:
-                return clone.judge(change, reached)
-            finally:
-                clones.put(clone)
-
-        with ThreadPoolExecutor(arguments.jobs) as pool:
-            for number, (change, done) in enumerate(zip(drawn, pool.map(attempt, drawn), strict=True), 1):
-                if done is None:
-                    continue
-                counted[done[0]] += 1
-                print(f"{number:3} {done[0]:5} {change}\n          {done[1]}", flush=True)
+        clones = [Clone(Path(temporary) / f"clone{number}") for number in range(arguments.jobs)]
+        judge = Judge(arguments.folder / f"verdicts-{arguments.seed}-{arguments.n}.json", clones, reached)
+        judge.alone(judge.left(drawn))
+        judge.together(judge.left(drawn), "core", "core")
+        judge.together(judge.left(drawn), "other", *PARTS[1:])
+        for change in judge.left(drawn):
+            judge.store(change, "-", f"{len(reached.of(change))} items execute the statement")
+    counted = Counter(verdict for verdict, _ in judge.verdicts.values())
+    for change in drawn:
+        verdict, test = judge.verdicts[str(change)]
+        if verdict != "core":
+            print(f"{verdict:5} {change}\n      {test}")
     noticed = counted["core"] + counted["other"]
     print(f"noticed by make test: {counted['core']}; by the other parts only: {counted['other']}; by none:", end=" ")
     print(f"{counted['-']}; share of make test: {counted['core'] / max(1, noticed):.1%}")

@@ -19,7 +19,7 @@ from dcp_selftest.generated.reach import Reach
 from dcp_selftest.generated.reports import _SHOWING, reports_of
 from dcp_selftest.generated.sites import Site, _candidates, changes, cited, mutated, sites
 from dcp_selftest.generated.table import section
-from dcp_selftest.generated.trial import NODES, Outcome, Step, _in_order, cases, measure, steps, try_site
+from dcp_selftest.generated.trial import MODEL, NODES, Outcome, Step, _in_order, cases, measure, steps, try_site
 
 from ..conformance.command import Command
 
@@ -136,6 +136,16 @@ def test_declarations_of_a_profile_kill_no_mutant():
     assert answer.fate == "survived"
 
 
+def test_cases_of_the_model_follow_all_hand_written_ones():
+    wrong = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
+    model = [number for number, case in enumerate(cases()) if case.id.startswith(MODEL)]
+    by_hand = [number for number, case in enumerate(cases()) if case.id == "TC_VD_UPD_BV_01"]
+    [both] = _in_new_processes(try_site, (wrong, (Step("dcp-2.0", (*model, *by_hand)),)))
+    [alone] = _in_new_processes(try_site, (wrong, (Step("dcp-2.0", tuple(model)),)))
+    assert (both.fate, both.by_model) == ("killed", False)
+    assert (alone.fate, alone.by_model) == ("killed", True)
+
+
 def test_a_trial_runs_the_cases_that_execute_the_changed_lines():
     one = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
     lines = {one.module: {one.first: (3, 5), one.first + 1: (4,)}}
@@ -215,14 +225,21 @@ class TestCommand:
         one, two = (
             GeneratedResult(seed=seed, drawn=2, trials=trials)
             for seed, trials in (
-                (8, (Trial(sites()[0], Outcome(sites()[0].key, "killed")), Trial(sites()[1], Outcome("", "survived")))),
+                (
+                    8,
+                    (
+                        Trial(sites()[0], Outcome(sites()[0].key, "killed")),
+                        Trial(sites()[2], Outcome(sites()[2].key, "killed", by_model=True)),
+                        Trial(sites()[1], Outcome("", "survived")),
+                    ),
+                ),
                 (9, (Trial(sites()[0], Outcome(sites()[0].key, "excused"), "counter: only dcp-node shows it"),)),
             )
         )
         text = section([one, two])
         assert "`dcp-selftest generated 2 --seed 8 --seed 9 --document docs/selftest.md`" in text
-        assert "| 8 | 2 | 0 | 2 | 1 | 1 | 50.0% |" in text
-        assert "| 9 | 2 | 1 | 0 | 0 | 0 | 100.0% |" in text
+        assert "| 8 | 2 | 0 | 3 | 2 | 1 | 1 | 33.3% | 66.7% |" in text
+        assert "| 9 | 2 | 1 | 0 | 0 | 0 | 0 | 100.0% | 100.0% |" in text
         assert f"| `{sites()[1].module}.{sites()[1].function}` | {sites()[1].operator}: " in text
         assert (
             f"The ledger holds {sum(len(entry.changes) for entry in entries()):,} of {len(sites()):,} changes" in text

@@ -138,6 +138,15 @@ class Finding(NamedTuple):
     """One sentence about the effect on the network; empty for the general one of the rule."""
 
 
+class Outcome(NamedTuple):
+    """The results of a rule that was applied in another process, see :meth:`Invariant.adopt`."""
+
+    findings: list[Finding]
+    left_out: int
+    occasions: dict[str, int]
+    times: dict[object, int]
+
+
 Evidence = Seen | Trace | Statement | Instruction | Entry | Mark
 """Types that a finding accepts as evidence: frames, records, states of the ledger (their first record), and places."""
 
@@ -230,6 +239,9 @@ class Invariant:
     expect: ClassVar[str]
     enough: ClassVar[int] = 10
     """Minimum number of occasions for the verdict pass."""
+    of_reactions: ClassVar[bool] = False
+    """True if the rule uses :mod:`.reception`. Two processes can judge a recording: one applies these rules, the other
+    one all others."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -285,6 +297,16 @@ class Invariant:
         """Requirement -> number of occasions to break it."""
         every = dict.fromkeys(self.requirements, self._of_all) if self._of_all else {}
         return every | {each: count + every.get(each, 0) for each, count in self._occasions.items()}
+
+    @property
+    def outcome(self) -> Outcome:
+        """The results, to be sent to another process."""
+        times = {each.key: self._times.get(each.key, 1) for each in self.findings if each.key is not None}
+        return Outcome(self.findings, self.left_out, self.occasions, times)
+
+    def adopt(self, outcome: Outcome) -> None:
+        """Take the results of the same rule from another process, after :meth:`finish` there."""
+        self.findings, self.left_out, self._occasions, self._times = outcome
 
     def violated(
         self,

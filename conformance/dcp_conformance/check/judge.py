@@ -6,7 +6,7 @@ import shlex
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -32,7 +32,7 @@ from dcp_conformance.model.results import (
 )
 from dcp_conformance.model.verdict import Verdict, worst
 
-from .base import Context, Finding, Invariant, Seen, name
+from .base import Context, Finding, Invariant, Outcome, Seen, name
 from .places import placed
 from .reception import Reception, reception_of
 from .reception.links import Whole, summary
@@ -108,6 +108,13 @@ class RecorderClock:
         return recorded + self._shift
 
 
+class Share(NamedTuple):
+    """The results of some rules: by the identifier of the rule, and the frames that they cite, by number."""
+
+    outcomes: dict[str, Outcome]
+    cited: dict[int, EventRecord]
+
+
 class Judge:
     """Judges the frames given to :meth:`feed`; :meth:`result` returns the verdicts. No frame makes it raise."""
 
@@ -122,6 +129,7 @@ class Judge:
         period_known: bool = True,
         enough: int | None = None,
         topology: Topology | None = None,
+        of_reactions: bool | None = None,
     ) -> None:
         """Prepare the rules for the profile of ``codec``.
 
@@ -129,7 +137,8 @@ class Judge:
         ``command``: the command line in the result. ``period_known``: False if the beacon period in ``pics`` was
         measured in this recording, which therefore cannot break it. ``enough``: minimum number of occasions and of
         beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``. ``topology``: the links
-        that the user tells; None: they are inferred.
+        that the user tells; None: they are inferred. ``of_reactions``: apply only the rules with this value of
+        :attr:`Invariant.of_reactions`, because another process applies the others (:mod:`.sharing`).
         """
         self._codec = codec
         self._pics = pics
@@ -144,7 +153,11 @@ class Judge:
         if topology is not None:
             self._context.hears = topology.hears
         self._rules = [rule(self._context) for rule in RULES]
-        self._active = [rule for rule in self._rules if not rule.applies()]
+        self._active = [
+            rule
+            for rule in self._rules
+            if not rule.applies() and (of_reactions is None or rule.of_reactions is of_reactions)
+        ]
         # Rules without a method of their own wait for the end.
         self._feeds = [rule.feed for rule in self._active if type(rule).feed is not Invariant.feed]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
@@ -241,18 +254,34 @@ class Judge:
                             frame.time_ns, "heard", who, frame.number, "", frame.data.hex(), start
                         )
 
-    def result(self, notes: Iterable[str] = ()) -> RunResult:
-        """Return the verdicts; call once, after the last frame. ``notes`` are added to those of the result."""
+    def share(self) -> Share:
+        """Return the results of the rules that were applied, for :meth:`adopt` in another process; call once."""
+        self._finish()
+        return Share({rule.id: rule.outcome for rule in self._active}, self._cited)
+
+    def _finish(self) -> None:
+        """Process the end of the recording."""
         self._context.now = None
         for rule in self._active:
             rule.finish()
-        for rule in self._active:
+        self._cite()
+
+    def adopt(self, share: Share) -> None:
+        """Take the results of the rules that this judge does not apply."""
+        for rule in self._rules:
+            if rule.id in share.outcomes:
+                rule.adopt(share.outcomes[rule.id])
+        self._cited |= share.cited
+
+    def result(self, notes: Iterable[str] = ()) -> RunResult:
+        """Return the verdicts; call once, after the last frame. ``notes`` are added to those of the result."""
+        self._finish()
+        for rule in self._rules:
             for finding in rule.findings:
                 if finding.verdict is Verdict.INCONCLUSIVE:
                     # A requirement that one rule doubts must not pass by another rule.
                     for each in finding.requirements:
                         self._context.withhold(each, finding.observed)
-        self._cite()
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         about.append(self.links_origin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import statistics
 from pathlib import Path
@@ -13,10 +14,12 @@ from dcp_spec.profile.usability import unusable_keys
 
 from dcp_codec.analysis.guess import Guess, guess, sample
 from dcp_codec.capture import CaptureError, open_capture
+from dcp_codec.capture.frame import Frame
 from dcp_codec.cli.common import progress
 from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import say
 from dcp_codec.common.garbage import few_collections
+from dcp_codec.common.workers import WorkerLostError
 from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
@@ -26,6 +29,7 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
+from .sharing import Helper, processes
 from .tables import write_tables
 from .topology import Topology
 from .versions import Versions, undecided, weakness
@@ -73,19 +77,21 @@ def judge_versions(
     name_damage: bool = False,
     topology: Topology | None = None,
     tables: Path | None = None,
+    jobs: int | None = None,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
     cannot be read of the file; the notes of the results have it, too. ``topology``: the links that the user tells.
-    ``tables``: a folder for the tables of the ledger.
+    ``tables``: a folder for the tables of the ledger. ``jobs``: number of processes, 1 or 2; None: 2 for a long file if
+    there are two processors.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
     found, judges, notes = judges_of(
         path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
-        show_progress=show_progress, topology=topology,
+        show_progress=show_progress, topology=topology, jobs=jobs,
     )  # fmt: skip
     for each in notes if name_damage else ():
         say(f"{path}: {each}", err=True)
@@ -106,34 +112,51 @@ def judges_of(
     period_known: bool = False,
     show_progress: bool = False,
     topology: Topology | None = None,
+    jobs: int | None = None,
+    all_rules: bool = True,
 ) -> tuple[_Choice, list[Judge], list[str]]:
     """Read a recording; return the profile, the judges that have received the frames, and notes about damage.
 
-    There are two judges if the recording has beacons of two versions. Raises :class:`UsageError` as
-    :func:`judge_recording` does.
+    There are two judges if the recording has beacons of two versions. ``jobs``: as in :func:`judge_versions`.
+    ``all_rules``: False: apply only the rules about reactions. Raises :class:`UsageError` as :func:`judge_recording`
+    does.
     """
     found = _Choice(path, profile or pics.pixit.profile, ether_type)
     codecs = [found.codec, *([found.other] if found.other is not None else [])]
     versions = Versions(codecs[0], codecs[1]) if len(codecs) > 1 else None
     periods = [pics if period_known else _with_period(pics, _period(path, codec)) for codec in codecs]
-    try:
-        with open_capture(path) as reader:
-            # File names are octets: make them valid Unicode, so that the report can be written.
-            name = path.name.encode("utf-8", "backslashreplace").decode()
-            judges = [
-                Judge(
-                    codec, each, recording=name, path=str(path), command=command, period_known=period_known,
-                    topology=topology,
-                )
-                for codec, each in zip(codecs, periods, strict=True)
-            ]  # fmt: skip
-            with progress(reader, str(path), show=show_progress) as advance, few_collections():
-                for frame in reader:
-                    judges[0 if versions is None else versions.of(frame)].feed(frame)
-                    advance()
-            notes = [problem.message for problem in reader.problems]
-    except CaptureError as error:
-        raise UsageError(str(error)) from None
+    # File names are octets: make them valid Unicode, so that the report can be written.
+    name = path.name.encode("utf-8", "backslashreplace").decode()
+
+    def judges_for(*, of_reactions: bool | None) -> list[Judge]:
+        return [
+            Judge(
+                codec, each, recording=name, path=str(path), command=command, period_known=period_known,
+                topology=topology, of_reactions=of_reactions,
+            )
+            for codec, each in zip(codecs, periods, strict=True)
+        ]  # fmt: skip
+
+    def place(frame: Frame) -> int:
+        return 0 if versions is None else versions.of(frame)
+
+    shared = all_rules and processes(path, jobs) > 1
+    judges = judges_for(of_reactions=True if shared or not all_rules else None)
+    with contextlib.ExitStack() as stack:
+        if shared:
+            helper = Helper(path, judges_for(of_reactions=False), place)
+            stack.callback(helper.end)
+        try:
+            with open_capture(path) as reader:
+                with progress(reader, str(path), show=show_progress) as advance, few_collections():
+                    for frame in reader:
+                        judges[place(frame)].feed(frame)
+                        advance()
+                notes = [problem.message for problem in reader.problems]
+            for judge, share in zip(judges, helper.shares(), strict=True) if shared else ():
+                judge.adopt(share)
+        except (CaptureError, WorkerLostError) as error:
+            raise UsageError(f"{path}: {error}" if isinstance(error, WorkerLostError) else str(error)) from None
     if not any(judge.frames for judge in judges):
         raise UsageError(f"{path}: none of its {judges[0].other} frames is DCP in the profile {codecs[0].profile.name}")
     return found, [judge for judge in judges if judge.frames], notes

@@ -45,6 +45,13 @@ if TYPE_CHECKING:
     metavar="DIR",
     help="Write the states of variables, the links and the findings there: holdings.csv, links.csv, events.csv.",
 )
+@click.option(
+    "--jobs",
+    "-j",
+    type=click.IntRange(1, 2),
+    metavar="1|2",
+    help="Number of processes for each recording.  [default: 2 for a long one, if there are two processors]",
+)
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Show only findings and damage of the files.")
 def command(
@@ -58,6 +65,7 @@ def command(
     expected: Path | None,
     report_dir: Path | None,
     tables: Path | None,
+    jobs: int | None,
     *,
     show_requirements: bool,
     quiet: bool,
@@ -103,6 +111,7 @@ def command(
                 show_progress=True,
                 name_damage=quiet,
                 topology=links,
+                jobs=jobs,
                 tables=tables if tables is None or len(captures) == 1 else tables / capture.stem,
             )
         except UsageError as error:

@@ -134,10 +134,12 @@ class _Search:
         chosen: list[str] = []
         while len(chosen) < _MOST:
             rest = (name for name in self._chances if name not in chosen and self._plausible(name))
-            best = max(rest, key=lambda name: (self._gain(name), name), default=None)
-            if best is None or self._gain(best) <= _PRICE:
+            gains = {name: gain for name in rest if (gain := self._gain(name)) > _PRICE}
+            if not gains:
                 break
-            chosen.append(best)
+            least = max(gains.values()) - _EQUAL
+            likely = (name for name, gain in gains.items() if gain >= least)
+            chosen.append(max(likely, key=lambda name: (self._decided(name), gains[name], name)))
             self._assume(chosen)
             chosen = self._without_superfluous(chosen)
         return [self._faults[name] for name in chosen]
@@ -147,6 +149,11 @@ class _Search:
         fault = self._faults[name]
         hits, misses = len(fault.fails & self._relevant(fault)), len(fault.fails & self._passed)
         return hits >= _LEAST * (hits + misses)
+
+    def _decided(self, name: str) -> float:
+        """Return the share of the cases that the fault makes fail whose verdicts are known: few in a selection."""
+        fault = self._faults[name]
+        return len(fault.fails & (self._relevant(fault) | self._passed)) / len(fault.fails)
 
     def _gain(self, name: str) -> float:
         """Return by how much this fault raises the log likelihood of the observed verdicts."""

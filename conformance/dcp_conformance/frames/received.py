@@ -63,10 +63,16 @@ class ReceivedBeacon:
         self.problems: tuple[Problem, ...] = self.salvaged.problems
         self.sender: bytes | None = self._sender(codec)
         """The node identifier in the beacon; None if the profile has none, or it is truncated."""
-        self.containers = self._containers()
+        self.containers: tuple[Container, ...] = ()
         """The VarDis containers of all blocks, in order."""
-        self.report = self._report()
+        self.report: ExtendedSafetyData | None = None
         """The first state report; None without any."""
+        for payload in () if self.beacon is None else self.beacon.payloads:
+            content = payload.content
+            if isinstance(content, tuple):
+                self.containers = self.containers + content if self.containers else content
+            elif self.report is None and isinstance(content, ExtendedSafetyData):
+                self.report = content
         self.seqno: int | None = self._seqno()
         """The beacon's sequence number; None if the header is not reliable."""
         self._made: tuple[Instruction, ...] | None = None
@@ -145,24 +151,10 @@ class ReceivedBeacon:
         requests = (ICType.REQUEST_VARCREATES,)
         return {each.var_id for each in self._instructions if each.kind not in requests}
 
-    def _containers(self) -> tuple[Container, ...]:
-        """Return the containers of all VarDis blocks, in order."""
-        if self.beacon is None:
-            return ()
-        contents = [each.content for each in self.beacon.payloads if isinstance(each.content, tuple)]
-        return contents[0] if len(contents) == 1 else tuple([container for each in contents for container in each])
-
     @property
     def has_vardis(self) -> bool:
         """Whether the beacon has a VarDis block."""
         return self.beacon is not None and any(payload.vardis is not None for payload in self.beacon.payloads)
-
-    def _report(self) -> ExtendedSafetyData | None:
-        if self.beacon is not None:
-            for each in self.beacon.payloads:
-                if isinstance(each.content, ExtendedSafetyData):
-                    return each.content
-        return None
 
     def data(self, protocol_id: int) -> list[bytes]:
         """Return the payloads of a protocol as octets."""

@@ -147,9 +147,10 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     def likely(self) -> bool:
         """Whether several cases fail as with this fault, at least half of them with the same observation.
 
-        At most a tenth of the cases that should fail may have passed.
+        At most a tenth of the cases that should fail may have passed, and a third of the cases that the fault makes
+        fail must have been decided: a fault that prevents most cases is not shown by a few.
         """
-        most = 10 * len(self.missing) <= self.expected
+        most = 10 * len(self.missing) <= self.expected and 3 * self.expected >= self.signature
         return len(self.explains) > 1 and 2 * self.alike >= len(self.explains) and most
 
     @property

@@ -51,6 +51,10 @@ class Client(msgspec.Struct):
     """Transmissions without their notification; negative if notifications came before their beacons."""
     untold: list[int] = msgspec.field(default_factory=list)
     """Times of these transmissions, ns."""
+    early: list[int] = msgspec.field(default_factory=list)
+    """Times of notifications without their beacon, ns."""
+    since: int = 0
+    """Time of the registration, ns."""
     left: set[bytes] = msgspec.field(default_factory=set)
     """Payloads that must not be sent any more: cleared, displaced, discarded or sent."""
     stamp: int | None = None
@@ -226,7 +230,7 @@ class BPModel:
         again = prot_id in self._gone
         self.clients[prot_id] = Client(
             prot_id, params["name"], params["maxPayloadSize"], mode, params.get("maxEntries", 0), several, listed,
-            {((), ())}, ("BP-DRG-05",) if again else ("BP-REG-06",), time, again,
+            {((), ())}, ("BP-DRG-05",) if again else ("BP-REG-06",), time, again, since=time,
         )  # fmt: skip
 
     def _places(self, client: Client) -> int | None:
@@ -427,7 +431,9 @@ class BPModel:
 
     def _sent(self, client: Client, octets: bytes, time: int) -> Iterator[Finding]:
         client.told += 1
-        if client.told > 0:
+        if client.early:
+            del client.early[0]
+        elif client.told > 0:
             client.untold.append(time)
         if client.possible is None:
             return
@@ -574,17 +580,29 @@ class BPModel:
                 which = ("BP-PTI-03", "BP-PTI-01") if client.mode is _Q.REPEAT else ("BP-PTI-01",)
                 yield Finding(which, f"an indication of each transmission to {client.prot_id}", "none of one of them")
             client.untold = [each for each in client.untold if each >= limit]
+            # An indication of the registration before may come after the next one.
+            surplus = [each for each in client.early if each > client.since + self._slack]
+            if surplus and surplus[0] < limit - self.timing.flight and not self.timing.lossy:
+                yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
+            client.early = [each for each in client.early if each >= limit - self.timing.flight]
 
-    def transmitted(self, prot_id: int) -> Iterator[Finding]:
-        """Judge a BP-PayloadTransmitted.indication about a client of the tester."""
+    def transmitted(self, prot_id: int, time: int) -> Iterator[Finding]:
+        """Judge a BP-PayloadTransmitted.indication about a client of the tester, which came at ``time``."""
         client = self.clients.get(prot_id)
         if client is None or self.timing.lossy:
             return
         client.told -= 1
+        if not client.untold:
+            client.early.append(time)
         del client.untold[:1]
         if client.told < 0 and client.possible is not None and not self.timing.flight:
             yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.told = 0
+
+    @property
+    def _slack(self) -> int:
+        """The longest time from a beacon to the notifications about it, ns."""
+        return self.timing.late + self.timing.notice + self.timing.flight + self.period
 
     @property
     def state(self) -> str:

@@ -159,6 +159,12 @@ class NodeModel:
             return self._settable(method, params)
         return self.bp.expect(method, params)
 
+    def _valid(self, name: str, value: Any) -> bool:
+        try:
+            return validate(name, value, self._bounds()) is None
+        except UnknownParameterError:
+            return True
+
     def _settable(self, method: str, params: Mapping[str, Any]) -> list[Expected]:
         name, value = params["name"], params["value"]
         try:
@@ -230,7 +236,8 @@ class NodeModel:
         if method.startswith("BP-MGMT-") and ok:
             self._hold(time)
         if method.endswith("-SetParameter"):
-            if ok:
+            # The confirm need not tell that a value was rejected (BP-PAR-07).
+            if ok and self._valid(params["name"], params["value"]):
                 self._set(params["name"], params["value"], time)
         elif method == "SRP-UpdateSafetyData":
             if ok:
@@ -380,13 +387,13 @@ class NodeModel:
 
     # -- notifications and time ------------------------------------------------------------------------------
 
-    def notified(self, method: str, params: Mapping[str, Any]) -> Iterator[Finding]:
-        """Judge a notification."""
+    def notified(self, method: str, params: Mapping[str, Any], time: int) -> Iterator[Finding]:
+        """Judge a notification that the tester got at ``time``."""
         prot_id = params.get("protId", -1)
         if method == "BP-ReceivePayload.indication":
             yield from self.bp.indicated(prot_id, bytes.fromhex(str(params.get("payload", ""))))
         elif method == "BP-PayloadTransmitted.indication":
-            yield from self.bp.transmitted(prot_id)
+            yield from self.bp.transmitted(prot_id, time)
 
     def passed(self, time: int, *, notified: bool) -> Iterator[Finding]:
         """Judge what should have come by ``time``. ``notified``: whether the tester gets notifications."""

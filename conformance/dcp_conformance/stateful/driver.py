@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import Any, Final
 
@@ -102,6 +102,8 @@ class Driver:
         self.initial = dict(self.model.values)
         """The values of the parameters at the beginning."""
         self._row: list[str] = ["", ""]
+        self._submitted: dict[int, str] = {}
+        """The payload submitted last for each protocol, hexadecimal."""
 
     @property
     def least_packet(self) -> int:
@@ -172,7 +174,7 @@ class Driver:
         if event.octets:
             self._judge(self.model.beacon(event.octets, event.time))
         else:
-            self._judge(self.model.notified(event.method, event.params))
+            self._judge(self.model.notified(event.method, event.params, event.time))
 
     def _settle(self) -> None:
         """Wait until the node has processed the frames that were sent, before a service depends on them."""
@@ -204,7 +206,7 @@ class Driver:
             self._take(event)
         expected = model.expect(method, params, executor.now())
         refused = expected and not any(each.status.endswith("-OK") for each in expected)
-        self._count(self._state(method, params), f"{method}, refused" if refused else method)
+        self._count(self._state(method, params), f"{method}, refused" if refused else self._event(method, params))
         if expected and not expected[0].requirement.startswith("X"):
             self.decided[expected[0].requirement] = None
         before = executor.now(), executor.wall()
@@ -367,11 +369,16 @@ class Driver:
                 elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
                     for number in range(each.neighbour, each.neighbour + each.count):
                         report = self._report(number, each.seqno, earlier=each.earlier)
-                        self._count(model.srp.state_of(report.node_id), f"report{about}")
+                        event = f"report{about}{' of a wrong length' if each.excess else ''}"
+                        self._count(model.srp.state_of(report.node_id), event)
+                        made = self._builder.srp(report)
+                        if each.excess:
+                            octets = made.octets[: each.excess] if each.excess < 0 else made.octets + bytes(each.excess)
+                            made = Block(made.protocol_id, octets)
                         if each.count > 1:
-                            yield [self._builder.srp(report)]
+                            yield [made]
                         else:
-                            blocks.append(self._builder.srp(report))
+                            blocks.append(made)
         if blocks:
             yield blocks
 
@@ -474,6 +481,18 @@ class Driver:
         node_id = self.executor.own_id if number == OWN else names.neighbour(number)[0]
         return ExtendedSafetyData(kind(**data), node_id, stamp, seqno)
 
+    def _event(self, method: str, params: dict[str, Any]) -> str:
+        """Return the name of a service; for a payload also how it differs from the one before."""
+        if method != "BP-TransmitPayload":
+            return method
+        payload, prot_id = params["payload"], params["protId"]
+        before, self._submitted[prot_id] = self._submitted.get(prot_id), payload
+        if before is None:
+            return method
+        longer = len(payload) - len(before)
+        relation = "longer" if longer > 0 else "shorter" if longer else "equal" if payload == before else "as long"
+        return f"{method}, {relation}"
+
     def _state(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of the state of the model that a service depends on."""
         model = self.model
@@ -486,8 +505,26 @@ class Driver:
         return f"BP {model.bp.state}"
 
 
+def shorter(
+    execute: Callable[[Sequence[Step]], Counterexample | None], found: Counterexample, *, attempts: int
+) -> Counterexample:
+    """Return the counterexample without steps that it does not need.
+
+    ``execute`` executes a sequence in an initial state, and is called up to ``attempts`` times.
+    """
+    place = len(found.steps) - 1
+    while place >= 0 and attempts and len(found.steps) > 1:
+        fewer = [each for number, each in enumerate(found.steps) if number != place]
+        attempts -= 1
+        again = execute(fewer)
+        if again is not None and again.finding.requirements == found.finding.requirements:
+            found = again
+        place = min(place, len(found.steps)) - 1
+    return found
+
+
 def _letters(size: int) -> str:
     return ("abcdefghijklmnopqrstuvwxyz" * (size // 26 + 1))[:size]
 
 
-__all__ = ["Counterexample", "Driver", "Row", "table"]
+__all__ = ["Counterexample", "Driver", "Row", "shorter", "table"]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sut_properties import Capacity
 
-from .driver import Counterexample, Driver, table
+from .driver import Counterexample, Driver, shorter, table
 from .on_bench import BenchExecutor
 from .steps import Beacon, Call, Records, Report, Step
 
-#: Executions to make a counterexample shorter.
-_ATTEMPTS = 12
+#: Executions to make a counterexample on a link shorter.
+ATTEMPTS = 12
 
 
 def execute(bench: Bench, steps: Sequence[Step], *, alone: bool) -> Counterexample | None:
@@ -50,7 +51,7 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
                 expected, f"{first.finding.observed}, but not in another execution", *first.finding.requirements
             )
         found = again
-    found = shorter(lambda: bench, found, alone=alone)
+    found = shorter(partial(execute, bench, alone=alone), found, attempts=ATTEMPTS)
     finding = found.finding
     if finding.about == "format":
         bench.inconclusive("beacons that can be read", f"{finding.observed}: judged by the rules for every beacon")
@@ -58,20 +59,6 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
         bench.excuses.relies_on("creationTime")
     shown = "\n".join(table(found.rows))
     bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
-
-
-def shorter(ready: Callable[[], Bench], found: Counterexample, *, alone: bool) -> Counterexample:
-    """Return the counterexample without steps that it does not need. ``ready`` returns a bench in its initial state."""
-    left = _ATTEMPTS
-    place = len(found.steps) - 1
-    while place >= 0 and left and len(found.steps) > 1:
-        fewer = [each for number, each in enumerate(found.steps) if number != place]
-        left -= 1
-        again = execute(ready(), fewer, alone=alone)
-        if again is not None and again.finding.requirements == found.finding.requirements:
-            found = again
-        place = min(place, len(found.steps)) - 1
-    return found
 
 
 def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:

@@ -60,6 +60,22 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
     "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
+    "parameters": (
+        "change_period",
+        "refuse",
+        "resize",
+        "refuse",
+        "change_network",
+        "change_neighbour_timeout",
+        "change_vardis",
+        "submit",
+        "register",
+        "create",
+        "report",
+        "wait",
+        "wait",
+        "records",
+    ),
     "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "submit_safety_data", "wait"),
     "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
     "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
@@ -72,7 +88,9 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
 }
 #: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
 _ONE: Final = ("variable", "own-variable")
-_CHOSEN: Final = (*THEMES, *_ONE, *("variable",) * 4)
+_CHOSEN: Final = (
+    *THEMES, *_ONE, *("variable",) * 4, *("registrations", "sizes", "inactivity", "reception", "neighbours") * 2,
+)  # fmt: skip
 #: How a sequence about one variable begins: by whom it was created, whether it was deleted, and whether time passed.
 _BEGINNINGS: Final = tuple(
     (creator, deleted, later) for creator in ("", "node", "neighbour") for deleted in (False, True)
@@ -89,6 +107,14 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
 _FAULTS: Final = st.sampled_from(
     (*("",) * 24, "version", "magic", "network", "network-high", "own-sender", "no-length", "no-payloads")
 )
+#: Parameters with values that no reading allows.
+_INVALID: Final = st.sampled_from((
+    ("BP", "BPPAR_BEACON_PERIOD", 0), ("BP", "BPPAR_BEACON_PERIOD", -100), ("BP", "BPPAR_MAXIMUM_PACKET_SIZE", 0),
+    ("BP", "BPPAR_NETWORK_ID", -1), ("SRP", "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", -1),
+    ("VD", "VARDISPAR_MAX_REPETITIONS", 0), ("VD", "VARDISPAR_MAX_REPETITIONS", 16),
+    ("VD", "VARDISPAR_MAX_VALUE_LENGTH", 0), ("VD", "VARDISPAR_MAX_DESCRIPTION_LENGTH", 0),
+    ("VD", "VARDISPAR_MAX_SUMMARIES", -1), ("VD", "VARDISPAR_SCRUBBING_PERIOD", -1),
+))  # fmt: skip
 _AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
@@ -352,6 +378,13 @@ class NodeMachine(RuleBasedStateMachine):
         """Set the beacon period."""
         self._set("BP", "BPPAR_BEACON_PERIOD", int(self.driver.initial["BPPAR_BEACON_PERIOD"] * factor) or 1)
 
+    @action(lambda self: self.executor.alone, invalid=_INVALID)
+    def refuse(self, invalid: tuple[str, str, int]) -> None:
+        """Set a parameter to an invalid value, which must not have any effect."""
+        protocol, name, value = invalid
+        if self.has(f"{protocol}-SetParameter") and name in self.driver.initial:
+            self._set(protocol, name, value)
+
     @action(
         lambda self: self.has("BP-SetParameter") and self.executor.alone,
         value=st.sampled_from(("initial", 0, 1, 65535)),
@@ -424,11 +457,23 @@ class NodeMachine(RuleBasedStateMachine):
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
         earlier=st.sampled_from((False, False, False, True)),
+        excess=st.sampled_from((0,) * 14 + (1, -1)),
+        beside=st.sampled_from((None,) * 8 + (0, 1, 2)),
         fault=_FAULTS,
     )
-    def report(self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, fault: Any) -> None:
-        """Send state reports."""
-        self.take(Beacon(sender, (Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier),), fault))
+    def report(
+        self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, excess: int, beside: int | None,
+        fault: Any,
+    ) -> None:  # fmt: skip
+        """Send state reports, sometimes two in a beacon."""
+        reports = [Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier, excess)]
+        if beside is not None and count == 1 and beside != neighbour:
+            reports.append(Report(beside, seqno))
+        # What is discarded several times may still keep an entry from expiring.
+        for _ in range(3 if excess else 1):
+            self.take(Beacon(sender, tuple(reports), fault))
+            if excess:
+                self.take(Wait(round(0.5 * self.driver.model.srp.timeout / self.executor.timing.period, 1)))
 
     # -- VarDis ----------------------------------------------------------------------------------------------
 

@@ -60,6 +60,8 @@ class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
     count: int = 1
     earlier: bool = False
     """True to send a tStamp that is earlier than in all other reports."""
+    excess: int = 0
+    """Octets that the payload has more than a record; negative: fewer."""
 
 
 class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
@@ -107,7 +109,9 @@ def _block(block: Records | Report | Client) -> str:
     if isinstance(block, Report):
         last = "" if block.count == 1 else f" to {block.neighbour + block.count - 1}"
         who = "the node itself" if block.neighbour == OWN else f"neighbour {block.neighbour}{last}"
-        return f"report of {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}"
+        return f"report of {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}" + (
+            f", {block.excess:+} octets" if block.excess else ""
+        )
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):

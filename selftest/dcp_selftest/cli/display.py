@@ -125,7 +125,8 @@ def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
             out.print(f"         not failed, but affected: {data(trial.outcome.by)}", soft_wrap=True)
     judged, excused = len(result.judged), len(result.trials) - len(result.judged)
     out.print(
-        f"\n{judged - len(result.survivors)} of {judged} random changes killed ({result.score:.1%}); {excused} more "
+        f"\n{judged - len(result.survivors)} of {judged} random changes killed ({result.score:.1%}), "
+        f"{len(result.by_model)} of them by the model only; {excused} more "
         f"are in the ledger; drawn from {result.sites} with seed {result.seed}, in {result.duration} s",
         soft_wrap=True,
     )

@@ -10,14 +10,28 @@ from dcp_conformance.errors import UsageError
 
 from dcp_codec.common.commandline import say
 
-from .common import jobs_option, quiet_option, report_option, seed_option, verbose_option, write_file, write_json
+from .common import (
+    document_option,
+    jobs_option,
+    quiet_option,
+    report_option,
+    seed_option,
+    verbose_option,
+    write_file,
+    write_json,
+    write_section,
+)  # fmt: skip
 
 
 @click.command(
     "model",
-    epilog="Exit status: 0 the model finds every faulty node, or sequences are drawn; 1 not; 2 wrong usage.",
+    epilog="Exit status: 0 the model finds every faulty node, or sequences are drawn; 1 not, or "
+    "--ledger refutes a change; 2 wrong usage.",
 )
-@click.argument("requirements", nargs=-1)
+@click.argument("mutants", nargs=-1)
+@click.option("--described", is_flag=True, help="Try the faults that a trial by an adversary described.")
+@click.option("--ledger", is_flag=True, help="Try the changes of the ledger, which no case can notice.")
+@click.option("--sample", type=click.IntRange(1), metavar="N", help="Of the ledger, try N changes drawn by the seed.")
 @click.option("--cells", is_flag=True, help="Try the state table with each cell changed, instead of the mutants.")
 @click.option("--profile", "-p", default="dcp-2.0", show_default=True, help="Profile of the state table.")
 @click.option(
@@ -39,18 +53,23 @@ from .common import jobs_option, quiet_option, report_option, seed_option, verbo
 @seed_option
 @jobs_option
 @report_option
+@document_option
 @verbose_option
 @quiet_option
 def command(
-    requirements: tuple[str, ...],
+    mutants: tuple[str, ...],
     profile: str,
     sequences: int,
+    sample: int | None,
     draw: Path | None,
     most: int,
     seed: int,
     jobs: int | None,
     report_dir: Path | None,
+    document: Path | None,
     *,
+    described: bool,
+    ledger: bool,
     cells: bool,
     shrink: bool,
     verbose: bool,
@@ -58,7 +77,7 @@ def command(
 ) -> int:
     """Search faulty nodes with the model alone, without the cases of the suite.
 
-    REQUIREMENTS are the beginnings of identifiers: only mutants that violate them are tried.
+    MUTANTS are the beginnings of identifiers of mutants or requirements: only these mutants are tried.
     """
     from dcp_conformance.cli.display import progress_bar
 
@@ -67,9 +86,13 @@ def command(
 
     if draw is not None:
         return _draw(draw, profile, sequences=sequences, seed=seed, most=most)
-    chosen = list(faults.cells(profile) if cells else faults.mutants(requirements))
+    if ledger:
+        return _ledger(sample, sequences=sequences, seed=seed, jobs=jobs, report_dir=report_dir, quiet=quiet)
+    chosen = list(faults.cells(profile) if cells else faults.described() if described else faults.mutants(mutants))
     if not chosen:
-        raise UsageError(f"no mutant violates {' or '.join(requirements)}")
+        raise UsageError(f"no mutant is called {' or '.join(mutants)} or violates it: dcp-selftest mutants --list")
+    if document is not None and not described:
+        raise UsageError("--document has the table of --described only")
     results: list[Searched] = []
     with progress_bar(quiet=quiet) as progress:
         task = progress.add_task("faulty nodes", total=len(chosen))
@@ -80,12 +103,41 @@ def command(
                 what = ", ".join(each.requirements) or "not found"
                 say(f"{each.fault.id} ({each.fault.profile}): {what} [{each.by or 'search'}, {each.seconds:.1f} s]")
     write_json(Report(tuple(results)), report_dir, "model.json")
+    if document is not None:
+        from dcp_selftest.modelled.table import section
+
+        write_section(document, "model", section(results, sequences, seed))
     by_run, by_search = (sum(each.by == by for each in results) for by in ("run", "search"))
     say(
         f"{len(results)} faulty nodes: {by_run} found by the sequences of a run, {by_search} by up to {sequences} "
         f"drawn ones, {len(results) - by_run - by_search} not"
     )
     return 0 if by_run + by_search == len(results) else 1
+
+
+def _ledger(
+    sample: int | None, *, sequences: int, seed: int, jobs: int | None, report_dir: Path | None, quiet: bool
+) -> int:
+    from dcp_conformance.cli.display import progress_bar
+
+    from dcp_selftest.modelled.campaign import Searched
+    from dcp_selftest.modelled.excused import excused, run
+
+    changes = excused(sample, seed)
+    results: list[Searched] = []
+    with progress_bar(quiet=quiet) as progress:
+        task = progress.add_task("changes of the ledger", total=len(changes))
+        for site, each in run(changes, sequences=sequences, seed=seed, jobs=jobs):
+            progress.update(task, advance=1, description=site.key)
+            results.append(each)
+            if each.by:
+                say(f"refuted: {site.key}  {site}")
+                for line in each.text.splitlines() or (each.by,):
+                    say(f"  {line}")
+    write_json(Report(tuple(results)), report_dir, "ledger.json")
+    refuted = sum(bool(each.by) for each in results)
+    say(f"{len(results)} changes of the ledger: {refuted} refuted")
+    return 1 if refuted else 0
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -67,6 +67,11 @@ class GeneratedResult(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(each for each in self.judged if not each.killed)
 
     @property
+    def by_model(self) -> tuple[Trial, ...]:
+        """The trials that count and were killed by a case of the model, but by no hand-written case."""
+        return tuple(each for each in self.judged if each.killed and each.outcome.by_model)
+
+    @property
     def misplaced(self) -> tuple[Trial, ...]:
         """The trials of changes that are in the ledger although a case kills them: the reason there is wrong."""
         return tuple(each for each in self.trials if each.excused and each.outcome.fate == "killed")

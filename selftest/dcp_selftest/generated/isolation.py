@@ -50,10 +50,10 @@ def import_changed(name: str, code: CodeType) -> None:
     sys.meta_path.insert(0, _Importer(name, code))
 
 
-def process_context() -> ForkServerContext:
-    """Return a context whose processes have already imported the modules that no change affects."""
+def process_context(*more: str) -> ForkServerContext:
+    """Return a context whose processes have already imported the modules that no change affects, and ``more``."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
+    context.set_forkserver_preload([f"{__package__}.preload", *more])
     return context
 
 

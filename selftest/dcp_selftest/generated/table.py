@@ -28,9 +28,14 @@ def section(results: Sequence[GeneratedResult]) -> str:
         f"or never taken. There are {count:,} such changes in the modules of BP, SRP and VarDis. The draw does not",
         "depend on the cases. A change is killed if a case or a passive rule fails, or if the node does not work at",
         "all. Changes in the ledger (`selftest/dcp_selftest/data/invisible-changes/`) cannot be observed from",
-        "outside, or are permitted; they do not count.",
+        "outside, or are permitted; they do not count. The cases of the model (`TC_DCP_MODEL_*`) are executed after",
+        "all others, so that the column *by hand* is the score without them.",
         "",
-        table(("seed", "drawn", "in the ledger", "judged", "killed", "survived", "score"), map(_row, results), "r" * 7),
+        table(
+            ("seed", "drawn", "in the ledger", "judged", "killed", "by the model only", "survived", "by hand", "score"),
+            map(_row, results),
+            "r" * 9,
+        ),
         "",
         *_survivors(results),
         f"The ledger holds {excused:,} of {count:,} changes ({excused / count:.1%}):",
@@ -41,8 +46,12 @@ def section(results: Sequence[GeneratedResult]) -> str:
 
 
 def _row(result: GeneratedResult) -> tuple[object, ...]:
-    judged, lost = len(result.judged), len(result.survivors)
-    return result.seed, result.drawn, len(result.trials) - judged, judged, judged - lost, lost, f"{result.score:.1%}"
+    judged, lost, more = len(result.judged), len(result.survivors), len(result.by_model)
+    by_hand = result.score - more / judged if judged else 1.0
+    return (
+        result.seed, result.drawn, len(result.trials) - judged, judged, judged - lost, more, lost, f"{by_hand:.1%}",
+        f"{result.score:.1%}",
+    )  # fmt: skip
 
 
 def _survivors(results: Sequence[GeneratedResult]) -> list[str]:

@@ -51,6 +51,8 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
 OVERRIDDEN: Final = frozenset({"X48"})
 #: Alternatives of X28 and X34 by their names in profiles, where these are different.
 _HALF_RANGE: Final = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
+#: Prefix of the cases of the model.
+MODEL: Final = "TC_DCP_MODEL_"
 _RECEIVE_ERRORS: Final = {"skip-element": "skip-container"}
 #: Limits of a process: CPU time for each case in seconds (the longest takes 0.1 s), and address space in octets.
 CPU_SECONDS: Final = 10
@@ -71,6 +73,8 @@ class Outcome(msgspec.Struct, frozen=True):
     """The first case that detected the change, with its reason."""
     profile: str = ""
     seconds: float = 0.0
+    by_model: bool = False
+    """Whether the case that detected the change is one of the model, and no hand-written case does."""
 
 
 @cache
@@ -139,24 +143,24 @@ def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
     )
 
 
-def limit() -> None:
-    """Limit the memory of this process and the CPU time of its first case: a change can cause an endless loop."""
+def limit(seconds: int = CPU_SECONDS) -> None:
+    """Limit the memory of this process, and its CPU time until the first case: a change can cause an endless loop."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _limit_time()
+    _limit_time(seconds)
     # Collect garbage rarely: reference counts free most objects of a trial.
     gc.freeze()
     gc.set_threshold(100_000)
 
 
-def _limit_time() -> None:
-    """End the process by SIGXCPU after ``CPU_SECONDS`` further seconds of CPU time."""
+def _limit_time(seconds: int = CPU_SECONDS) -> None:
+    """End the process by SIGXCPU after so many further seconds of CPU time."""
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, hard))
 
 
 def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
-    """Run the suite until a case detects the change.
+    """Run the suite until a case detects the change: the hand-written cases on all nodes, then those of the model.
 
     ``plan`` has the steps to run, by default all cases on all nodes. Cases that name a requirement cited near the
     change are run first. Without a ``site`` the node is unchanged, and the outcome must be ``survived``. Raise
@@ -170,17 +174,22 @@ def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
     if site is not None:
         import_changed(f"dcp_stack.{site.module}", compile(mutated(site), f"<changed {site.module}.py>", "exec"))
 
-    def outcome(fate: Fate, by: str, profile: str) -> Outcome:
-        return Outcome(key, fate, by[:300], profile, round(time.monotonic() - began, 2))
-
     noticed: Outcome | None = None
     profile = ""
+    by_model = False
+
+    def outcome(fate: Fate, by: str, profile: str) -> Outcome:
+        return Outcome(key, fate, by[:300], profile, round(time.monotonic() - began, 2), by_model)
+
     try:
         from dcp_selftest.runner import is_declared
 
-        for profile, numbers in _EVERYTHING if plan is None else plan:
+        for by_model, (profile, numbers) in itertools.product((False, True), _EVERYTHING if plan is None else plan):
+            chosen = [each for each in _in_order(site, numbers) if each.id.startswith(MODEL) is by_model]
+            if not chosen:
+                continue
             suite, wire = suite_of(profile)
-            for result in itertools.chain(suite.run(_timed(_in_order(site, numbers))), suite.passive()):
+            for result in itertools.chain(suite.run(_timed(chosen)), suite.passive()):
                 if result.verdict is Verdict.FAIL and not is_declared(result, wire):
                     return outcome("killed", f"{result.id}: {result.reason}", profile)
                 if noticed is None and result.verdict in (Verdict.ERROR, Verdict.INCONCLUSIVE):

@@ -8,13 +8,12 @@ from collections.abc import Generator, Sequence
 from functools import partial
 
 import msgspec
-from dcp_conformance.reference.inprocess import reference_config
 from dcp_conformance.stateful.corpus import corpus
-from dcp_conformance.stateful.driver import Counterexample, Driver
+from dcp_conformance.stateful.driver import Counterexample, Driver, shorter
 from dcp_conformance.stateful.search import search
+from dcp_conformance.stateful.steps import Step
 from dcp_conformance.stateful.virtual import VirtualExecutor
 
-from dcp_codec.codec import get_codec
 from dcp_codec.common.workers import completed
 
 from .faults import Fault
@@ -28,23 +27,34 @@ class Searched(msgspec.Struct, frozen=True):
     """``run`` or ``search``; empty if nothing was found."""
     requirements: tuple[str, ...] = ()
     steps: int = 0
-    """Number of steps of the counterexample; 0 for a sequence of a run, which is not made shorter."""
+    """Number of steps of the counterexample."""
     sequences: int = 0
     """Number of sequences until then."""
     seconds: float = 0.0
-    """Processor time."""
+    """Processor time, with that of making the counterexample shorter."""
+    text: str = ""
+    """The counterexample as a table."""
 
 
 def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Searched:
     """Search one faulty node."""
-    config, make = reference_config(get_codec(fault.profile)), fault.make()
+    config, make = fault.config(), fault.make()
     began = time.process_time()
-    for number, each in enumerate(corpus().sequences, 1):
+
+    def execute(steps: Sequence[Step]) -> Counterexample | None:
         try:
-            Driver(VirtualExecutor(config, make=make)).run(each.steps)
+            Driver(VirtualExecutor(config, make=make)).run(steps)
         except Counterexample as found:
+            return found
+        return None
+
+    found: Counterexample | None
+    for number, each in enumerate(corpus().sequences, 1):
+        if (found := execute(each.steps)) is not None:
+            if shrink:
+                found = shorter(execute, found, attempts=len(found.steps))
             seconds = time.process_time() - began
-            return Searched(fault, "run", found.finding.requirements, sequences=number, seconds=seconds)
+            return Searched(fault, "run", found.finding.requirements, len(found.steps), number, seconds, str(found))
     if not sequences:
         return Searched(fault, "", seconds=time.process_time() - began)
     result = search(lambda: VirtualExecutor(config, make=make), sequences=sequences, steps=10, seed=seed, shrink=shrink)
@@ -52,8 +62,10 @@ def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Search
     gc.collect()
     if result.counterexample is None:
         return Searched(fault, "", sequences=result.sequences, seconds=seconds)
-    finding, steps = result.counterexample.finding, len(result.counterexample.steps)
-    return Searched(fault, "search", finding.requirements, steps, result.sequences, seconds)
+    found = result.counterexample
+    return Searched(
+        fault, "search", found.finding.requirements, len(found.steps), result.sequences, seconds, str(found)
+    )
 
 
 def run(faults: Sequence[Fault], *, sequences: int, seed: int, shrink: bool, jobs: int | None) -> Generator[Searched]:

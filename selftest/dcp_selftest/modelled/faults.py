@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from typing import Final
 
 import msgspec
-from dcp_conformance.reference.inprocess import MakeNode, reference_config
+from dcp_conformance.reference.inprocess import MakeNode, plain_node, reference_config
 
-from dcp_codec.codec import get_codec
+from dcp_codec.codec import Codec, get_codec
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.cells import Cells
 from dcp_selftest.mutants.mutant import maker, node_with
+from dcp_stack.config import NodeConfig
 from dcp_stack.vardis.state_table import Action, Cell, Event, State, table
 
 #: By the beginning of the name of an event: the actions that a record of its kind can have.
@@ -37,15 +38,40 @@ _OF_KNOWN: Final = frozenset({
 })  # fmt: skip
 _WITHOUT_TIMES: Final = frozenset({Event.TIMED_OUT, Event.RX_CREATE_LATER})
 
+#: Faults that a trial of the suite by an adversary described: no case noticed most of them before there was a model.
+DESCRIBED: Final = (
+    "M-BP-HDR-08-sixteen-bits", "M-BP-REG-06-former-entries", "M-BP-MGT-04-clears-no-queue",
+    "M-BP-RX-13-state-reports", "M-BP-TX-04-too-long-dropped", "M-BP-PTI-02-first-period", "M-BP-LST-01-first-time",
+    "M-BP-MGT-04-any-length", "M-BP-RX-01-low-bits", "M-BP-QM-01-at-most-255", "M-BP-LST-01-cut-at-31",
+    "M-SRP-RUN-02-timeout-of-reception", "M-SRP-TYP-05-first-stamp", "M-SRP-SEQ-01-sixteen-bits",
+    "M-SRP-RX-05-last-three", "M-SRP-PAR-01-ten-seconds", "M-VD-CRE-11-scrubbed-deletion-left",
+    "M-VD-DVA-03-no-count-delete", "M-VD-DDB-02-scrubbed-missing", "M-VD-PAR-01-long-description-mute",
+    "M-VD-CRE-12-summary-first", "M-VD-CMP-10-deletes-stay", "M-VD-PAY-02-127-records", "M-VD-PAY-02-updates-wait",
+    "M-VD-PC-08-pending-update-left", "M-VD-CRE-05-long-refused", "M-VD-PC-04-long-ignored",
+    "M-VD-PC-05-long-description-ignored", "M-VD-ROB-01-faulty-sender-ignored", "M-VD-SCR-03-consumer-double",
+)  # fmt: skip
+
 
 class Fault(msgspec.Struct, frozen=True):
     """One faulty node on one profile. Its ``id`` leads to it in any process."""
 
     id: str
     profile: str
+    neighbours: int | None = None
+    """Room of the neighbour table, as the profile states it; None: that of the node, which no sequence fills."""
+
+    def config(self) -> NodeConfig:
+        """Return the configuration of the node."""
+        codec = get_codec(self.profile)
+        if self.neighbours is not None:
+            limits = msgspec.structs.replace(codec.profile.limits, max_neighbours=self.neighbours)
+            codec = Codec(msgspec.structs.replace(codec.profile, limits=limits))
+        return reference_config(codec)
 
     def make(self) -> MakeNode:
         """Return the constructor of the node."""
+        if self.id.startswith("change "):
+            return plain_node
         if not self.id.startswith("cell "):
             return all_mutants()[self.id].make
         _, event, state, action = self.id.split()
@@ -53,11 +79,17 @@ class Fault(msgspec.Struct, frozen=True):
         return maker(node_with(type("Changed", (Cells,), {"cells": cells})))
 
 
-def mutants(requirements: tuple[str, ...] = ()) -> Iterator[Fault]:
-    """Yield all mutants, each on its newest profile, or those of ``requirements`` (beginnings of identifiers)."""
+def mutants(chosen: tuple[str, ...] = ()) -> Iterator[Fault]:
+    """Yield all mutants, each on its newest profile, or those of requirements or mutants with these beginnings."""
     for each in all_mutants().values():
-        if not requirements or each.requirement.startswith(requirements):
+        if not chosen or each.requirement.startswith(chosen) or each.id.startswith(chosen):
             yield Fault(each.id, each.profile)
+
+
+def described() -> Iterator[Fault]:
+    """Yield the faults of :data:`DESCRIBED`."""
+    for each in DESCRIBED:
+        yield Fault(each, all_mutants()[each].profile)
 
 
 def cells(profile: str) -> Iterator[Fault]:

@@ -25,7 +25,7 @@ _V = SpecVersion
 
 #: The two payloads of a beacon are processed separately, so that a record that the second cancels may have been sent.
 _ONE_BY_ONE = (
-    r"^TC_VD_PEND_BV_0[1236]: .*; but it processes received payloads one at a time and may answer in between"
+    r"^TC_VD_PEND_BV_0[12368]: .*; but it processes received payloads one at a time and may answer in between"
     r"|^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case needs: room for a VarReqUpdate$"
 )
 

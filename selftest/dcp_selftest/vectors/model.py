@@ -80,9 +80,9 @@ class Watcher:
         """Follow a beacon of the node."""
         self._judge(self._model.beacon(octets, time))
 
-    def notified(self, method: str, params: Mapping[str, Any]) -> None:
-        """Follow a notification."""
-        self._judge(self._model.notified(method, params))
+    def notified(self, method: str, params: Mapping[str, Any], time: int) -> None:
+        """Follow a notification at ``time``, ns."""
+        self._judge(self._model.notified(method, params, time))
 
     def passed(self, time: int) -> None:
         """Let time pass."""

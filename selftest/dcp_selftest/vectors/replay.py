@@ -82,7 +82,7 @@ def _take(sut: InProcess, upper: VirtualUpperTester, events: list[Event], watche
         events.extend(events_of(sut.config.codec, arrival.octets, arrival.time / MS))
     for each in upper.poll():
         if watcher is not None:
-            watcher.notified(each.method, each.params)
+            watcher.notified(each.method, each.params, each.time)
         prot_id = each.params.get("protId", 0)
         if each.method == "BP-ReceivePayload.indication":
             events.append(Event(each.time / MS, "indication", prot_id, str(each.params.get("payload"))))

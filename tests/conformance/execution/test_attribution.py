@@ -21,12 +21,13 @@ from dcp_conformance.test_steps.beacon_gaps import pausable
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer, Notification
+from dcp_selftest.mutants import all_mutants
 from dcp_selftest.variants.variant import node_of
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_stack.bp.entity import BeaconingProtocol
 
-from ..rig import codec_of
+from ..rig import codec_of, one_case
 
 WORD = b"\xde\xad\xbe\xef"
 #: Which beacons carry the word, in the order of their cases.
@@ -635,3 +636,13 @@ def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float)
     assert not failed_in(found[first.id])
     assert found[second.id].verdict is Verdict.PASS
     assert not runner.dead
+
+
+def test_a_death_names_the_requirement_of_the_reaction_that_was_missing():
+    """A check that passed for lack of frames does not show the requirement of the case."""
+    name = "TC_BP_TX_BV_01-one-octet"
+    result = one_case(name, "dcp-2.0", all_mutants()["M-BP-TX-04-dies-of-overflow"].make)
+    (death, *others) = result.checks
+    assert death.verdict is Verdict.FAIL
+    assert "BP-TX-04" in death.requirements
+    assert any(each.verdict is Verdict.PASS and each.requirements == ("BP-TX-04",) for each in others)

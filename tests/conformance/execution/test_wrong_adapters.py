@@ -20,6 +20,7 @@ from dcp_conformance.upper_tester.channels import Channel
 from dcp_conformance.upper_tester.examination import Examination
 from dcp_conformance.upper_tester.stream import StreamUpperTester
 
+from dcp_codec.common.child import LastLines
 from dcp_stack.virtual.world import EPOCH
 
 from ..rig import codec_of, known_cases
@@ -400,3 +401,39 @@ def test_the_examination_names_each_method_once():
     found = Examination(upper, codec.profile, whole=True).walk()
     assert len({each.method for each in found}) == len(found) >= len(upper.methods)
     assert {each.outcome for each in found if each.method in upper.methods} == {"right"}
+
+
+#: What Python 3.11 writes for an exception at the import, and in a constructor.
+AT_IMPORT = b"""Traceback (most recent call last):
+  File "/opt/adapter.py", line 3, in <module>
+    import mystack
+ModuleNotFoundError: No module named 'mystack'
+"""
+IN_CONSTRUCTOR = b"""reading adapter.toml
+Traceback (most recent call last):
+  File "/opt/adapter.py", line 40, in <module>
+    Adapter().serve()
+    ^^^^^^^^^
+  File "/opt/adapter.py", line 12, in __init__
+    self.path = settings["socket"]
+                ~~~~~~~~^^^^^^^^^^
+KeyError: 'socket'
+"""
+
+
+@pytest.mark.parametrize(
+    ("output", "told"),
+    [
+        (AT_IMPORT, "; its output: ModuleNotFoundError: No module named 'mystack' (/opt/adapter.py, line 3)"),
+        (IN_CONSTRUCTOR, "; its output: reading adapter.toml | KeyError: 'socket' (/opt/adapter.py, line 12)"),
+        (b"".join(AT_IMPORT.splitlines(keepends=True)[1:]), "No module named 'mystack' (/opt/adapter.py, line 3)"),
+        (AT_IMPORT[: AT_IMPORT.index(b"Module")], "    import mystack"),
+        (b"no such socket\n", "; its output: no such socket"),
+    ],
+)
+def test_an_exception_of_an_adapter_in_python_is_one_line(output: bytes, told: str):
+    lines = LastLines()
+    lines.take(output)
+    assert lines.shown().endswith(told)
+    if b"Error" in output:
+        assert "Traceback" not in lines.shown()

@@ -403,3 +403,16 @@ def test_cases_that_a_fault_leaves_undecided_are_not_explained_by_it() -> None:
     assert found.unexplained == ("c", "d")
     run = RunResult(cases=tuple(results("abcd")), diagnosis=found, requirements={"VD-RU-03": Verdict.FAIL})
     assert headline(run) == "0 requirements pass, 1 fails; 1 probable fault explains 2 of 4 failed cases"
+
+
+def test_a_fault_of_which_few_cases_were_decided_is_not_named_before_one_of_which_all_were() -> None:
+    known = Dictionary((fault("a rare one", *"abc"), fault("wide", *"abcdefghijklmnopq")))
+    (found,) = explain(results("abc"), known).faults
+    assert found.fault == "a rare one"
+    assert found.alternatives == ("does wide",)
+
+
+def test_a_fault_that_prevents_most_cases_is_not_probable_by_a_few() -> None:
+    """A node that discards every beacon was said to end a loop too early."""
+    (found,) = explain(results("abcd"), Dictionary((fault("wide", *"abcdefghijklm"),))).faults
+    assert (found.expected, found.signature, found.likely) == (4, 13, False)

@@ -64,7 +64,7 @@ _ABSENT = (Kind.TAKE_CREATE, Kind.ASK_CREATE)
 #: Reactions that prove the reception of a record (a node may delete a variable because of its timeout, too), and
 #: reactions whose absence is a fault if reception is proved.
 _PROVES = frozenset({Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ASK_CREATE})
-_PROVABLE = (Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE)
+_PROVABLE = frozenset({Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE})
 #: Maximum number of frames of an interval that are kept.
 _FRAMES = 32
 #: Stands for an interval that has not been looked up.
@@ -395,16 +395,18 @@ class Observer:
         self, station: Station, variable: Variable, reaction: Statement, causes: Sequence[Interval], since: int
     ) -> None:
         """Mark the open occasions of a node whose records were in all frames that can have caused its reaction."""
-        if variable.produced & station.bit or any(each.cut for each in causes):
+        if variable.produced & station.bit:
+            return
+        provable = [
+            intervals for opened in station.open.values() for kind, intervals in opened.items() if kind in _PROVABLE
+        ]
+        if not provable or any(each.cut for each in causes):
             return
         frames = {frame for each in causes for frame in each.frames}
         if min(frames) < 0:
             return
-        for opened in station.open.values():
-            for kind in _PROVABLE:
-                intervals = opened.get(kind)
-                if intervals is None or not frames.issubset(chain.from_iterable(each.frames for each in intervals)):
-                    continue
+        for intervals in provable:
+            if frames.issubset(chain.from_iterable(each.frames for each in intervals)):
                 # The node may have received only the last one of them.
                 last = next(each for each in reversed(intervals) if not frames.isdisjoint(each.frames))
                 last.proof = last.proof or Proof(tuple(sorted(frames)), reaction, since, self.time)

@@ -30,6 +30,7 @@ class ByteOrder(Invariant):
         self._ns = 1e9 / self._stamp.per_second
         self._epoch = self._stamp.epoch_ns or 0
         self._width, self._byte_order = self._stamp.width, self._stamp.byte_order
+        self._other: Literal["big", "little"] = "little" if self._byte_order == "big" else "big"
 
     def applies(self) -> str:
         """Exclude profiles whose time stamps have no known epoch."""
@@ -53,10 +54,12 @@ class ByteOrder(Invariant):
 
     def _order(self, ticks: int, wall: int) -> Literal["big", "little", ""]:
         """Return the byte order in which a time stamp is near ``wall`` (ns since 1970); empty for none or both."""
-        octets = (ticks % self._modulus).to_bytes(self._width, self._byte_order)
-        big = self._near(int.from_bytes(octets, "big"), wall)
-        little = self._near(int.from_bytes(octets, "little"), wall)
-        return "" if big == little else "big" if big else "little"
+        ticks %= self._modulus
+        other = int.from_bytes(ticks.to_bytes(self._width, self._byte_order), self._other)
+        native = self._near(ticks, wall)
+        if native == self._near(other, wall):
+            return ""
+        return self._byte_order if native else self._other
 
     def _near(self, ticks: int, wall: int) -> bool:
         """Whether a time stamp is less than 30 days from ``wall`` (ns since 1970)."""

@@ -37,6 +37,7 @@ class ReceptionLinks(Invariant):
     requirements = ("UWB-01",)
     expect = "reactions of other nodes to the records of a beacon"
     enough = 1
+    of_reactions = True
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -79,6 +80,7 @@ class _Reaction(Invariant):
     """Base of rules for one kind of reaction. :class:`ReceptionLinks` processes the beacons for them."""
 
     enough = 5
+    of_reactions = True
     kinds: ClassVar[tuple[Kind, ...]]
     """The kinds of reaction that the rule judges."""
     by_cause: ClassVar[dict[ICType, str]] = {}

@@ -272,6 +272,7 @@ class EndlessRequests(Invariant):
     purpose = "Requests end: another node answers, and the requesting node stores the answer"
     requirements = ("VD-PC-07", "VD-PU-07", "VD-RC-03", "VD-RU-04")
     expect = "fewer than ten requests for one variable before an answer is stored"
+    of_reactions = True
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)

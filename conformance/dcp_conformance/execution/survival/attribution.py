@@ -157,14 +157,17 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
 def _unfulfilled(trial: Trial) -> tuple[str, ...]:
     """Return the requirement of a case that a death after a valid stimulus also violates; empty without one.
 
-    It is the first one that no check has shown, because the implementation owed the reaction. A call that only prepares
-    the case is not its stimulus.
+    It is that of the first reaction that was missing, otherwise the first one that no check has shown, because the
+    implementation owed the reaction. A call that only prepares the case is not its stimulus.
     """
     case, stimulus = trial.case, trial.stimulus
     if case.kind is not Kind.VALID or case.robustness or case.needs.link or stimulus is None:
         return ()
     if stimulus.direction == "call" and (_PREPARES.search(stimulus.text) or concerns(case, stimulus.text)):
         return ()
+    missing = (check.requirements for check in trial.checks if check.verdict is Verdict.FAIL and not check.shown)
+    if owed := next(missing, ()):
+        return owed
     shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
     return next(((each,) for each in case.requirements if each not in shown), ())
 

@@ -21,9 +21,9 @@ from dcp_conformance.fuzz.findings.artefact import save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, effect_of
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.reference.inprocess import reference_config
-from dcp_conformance.stateful.driver import Counterexample, Driver
+from dcp_conformance.stateful.driver import Counterexample, Driver, shorter
 from dcp_conformance.stateful.executor import Executor
-from dcp_conformance.stateful.judged import execute, shorter
+from dcp_conformance.stateful.judged import ATTEMPTS, execute
 from dcp_conformance.stateful.machine import NodeMachine
 from dcp_conformance.stateful.on_bench import BenchExecutor
 from dcp_conformance.stateful.search import Found, search
@@ -138,7 +138,9 @@ def _live(live: LiveTarget, **limits: Any) -> Found:
     OnLink.live = live
     found = search(None, shrink=False, machine=OnLink, **limits)
     if found.counterexample is not None:
-        found.counterexample = shorter(live.prepare, found.counterexample, alone=True)
+        found.counterexample = shorter(
+            lambda steps: execute(live.prepare(), steps, alone=True), found.counterexample, attempts=ATTEMPTS
+        )
     return found
 
 

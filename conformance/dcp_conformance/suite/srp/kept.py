@@ -5,11 +5,13 @@ State that must not change: entries of other neighbours, the table while BP is i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.suite.srp.soft_state import brief_timeout
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_steps.state_reports import Reporter
@@ -22,6 +24,21 @@ _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 V1_2 = SpecVersion.V1_2
 #: Fields of an entry that the specification names, without the time of reception.
 _FIELDS = ("sData", "tStamp", "seqno")
+
+
+def _last_expires(bench: Bench) -> None:
+    """Let the only entry of the neighbour table expire."""
+    with brief_timeout(bench) as length:
+        peer = bench.peer()
+        peer.send(bench.records.report(peer.node_id, 1))
+        bench.waiting.wait_ns(round(1.5 * length + bench.sut.pixit.timer_tolerance_ms) * MS)
+
+
+def _hears(bench: Bench, node_id: bytes | None) -> None:
+    """Send the implementation a record with a high sequence number; None: that of a neighbour."""
+    peer = bench.peer()
+    peer.send(bench.records.report(node_id or peer.node_id, 0x1234))
+    bench.wait(1)
 
 
 def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
@@ -132,6 +149,49 @@ def numbers_across_activation(bench: Bench) -> None:
     ]
     if last.values == values:
         bench.none(old, "only the newest record", "SRP-TYP-07")
+
+
+@case(
+    "TC_SRP_SEQ_BO_02",
+    "Sequence numbers continue, whatever the node receives ({variant})",
+    requirements="SRP-SEQ-01 SRP-TYP-06",
+    alone="it needs an empty neighbour table",
+    stimulus="a submission of safety data; {variant}; a second submission",
+    expect="a second record whose sequence number is larger by one",
+    window=60,
+    needs=Needs(ut=(_UPDATE,), entities=("srp",)),
+    variants={
+        "the-last-neighbour-expires": _last_expires,
+        "a-record-of-its-own": lambda bench: _hears(bench, bench.identifiers.sut_id),
+        "a-record-of-a-neighbour": lambda bench: _hears(bench, None),
+    },
+)
+def numbers_continue(bench: Bench, happens: Callable[[Bench], None]) -> None:
+    reporter = Reporter(bench)
+    first = reporter.sent("SRP-SRV-03")
+    happens(bench)
+    reporter.check_grown(first, reporter.sent("SRP-SRV-03"))
+
+
+@case(
+    "TC_SRP_RX_BV_10",
+    "Each record in a beacon is processed",
+    requirements="SRP-RX-03 BP-RX-07",
+    stimulus="beacons with two SRP payloads: the record of the sender and that of another node, in either order",
+    expect="entries of both nodes",
+    needs=_TABLE,
+)
+def two_records(bench: Bench) -> None:
+    for turned in (False, True):
+        peers = [bench.peer(), bench.peer()]
+        blocks = [bench.builder.srp(bench.records.report(each.node_id, 7)) for each in peers]
+        for _ in range(2):
+            # A beacon may be lost.
+            peers[0].send(*(reversed(blocks) if turned else blocks))
+            missing = [each for each in peers if until_neighbour(bench, each.node_id) is None]
+            if not missing:
+                break
+        bench.complete([each.node_id.hex(":") for each in missing], "entries of both nodes")
 
 
 @case(

@@ -6,8 +6,9 @@ import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from dcp_spec.constants import SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import neighbour, neighbours, parameters_set, until_neighbour
 from dcp_conformance.test_system.bench import MS, Bench
@@ -18,7 +19,7 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
 def lifetime(
-    bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
+    bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], object] = lambda: None
 ) -> None:
     """Watch entries made at ``begun`` until they are removed; all times in ns.
 
@@ -178,6 +179,68 @@ def while_others_rest(bench: Bench) -> None:
         until_neighbour(bench, peer.node_id)
         with bench.services.deactivated("VD"), bench.services.deactivated("BP"):
             lifetime(bench, [peer], begun, length * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_09",
+    "When entries expire, the others keep their identifiers and data",
+    requirements="SRP-RUN-02 SRP-NT-01 SRP-NT-02",
+    alone="it shortens the timeout of neighbours",
+    stimulus="records of five neighbours; then only the second and the fourth continue, for one and a half timeouts",
+    expect="entries of these two with their own sequence numbers, and none of the three others",
+    window=60,
+    needs=_TABLE,
+)
+def others_stay(bench: Bench) -> None:
+    with brief_timeout(bench) as length:
+        peers = [bench.peer() for _ in range(5)]
+        for number, peer in enumerate(peers):
+            peer.send(bench.records.report(peer.node_id, 100 * number))
+        begun = bench.now()
+        latest = length * MS * 3 // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS)
+        last: dict[bytes, int] = {}
+        rounds = itertools.count(1)
+        while bench.now() - begun < latest:
+            step = next(rounds)
+            for number in (1, 3):
+                last[peers[number].node_id] = 100 * number + step
+                peers[number].send(bench.records.report(peers[number].node_id, 100 * number + step))
+            bench.waiting.wait_ns(length * MS // 8)
+        sent = bench.now()
+        table = neighbours(bench)
+        slow = bench.now() - sent > length * MS // 2
+        gone = [each.node_id.hex(":") for each in peers if each.node_id not in last and each.node_id in table]
+        if gone:
+            bench.missing(f"the removal of entries within {latest / MS:.0f} ms", f"still there: {', '.join(gone)}")
+        if slow:
+            bench.inconclusive("the entries of neighbours that report, which this case needs", "a slow answer")
+        for node_id, seqno in last.items():
+            entry = table[node_id][0] if node_id in table else {}
+            # The last record may be lost.
+            near = entry.get("seqno") in range(seqno - 2, seqno + 1)
+            what = f"an entry of {node_id.hex(':')} with its newest sequence number, {seqno}"
+            bench.proved(near, what, f"seqno {entry['seqno']}") if entry else bench.missing(what, "no entry")
+
+
+@case(
+    "TC_SRP_NT_TI_10",
+    "A record that is discarded does not prolong an entry ({variant})",
+    requirements="SRP-RX-01 SRP-RUN-02",
+    alone="it shortens the timeout of neighbours",
+    stimulus="a record of a neighbour; then invalid ones with the same nodeId ({variant}), twenty per timeout",
+    expect="the entry is removed in time",
+    window=45,
+    needs=_TABLE,
+    variants={name: name for name in ("one-long", "one-short", "twice")},
+)
+def not_prolonged(bench: Bench, name: str) -> None:
+    with brief_timeout(bench) as length:
+        peer, begun = bench.peer(), bench.now()
+        peer.send(bench.records.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        octets = bench.builder.srp(bench.records.report(peer.node_id, 2)).octets
+        invalid = {"one-long": octets + b"\0", "one-short": octets[:-1], "twice": octets * 2}[name]
+        lifetime(bench, [peer], begun, length * MS, lambda: peer.send(Block(BP_PROTID_SRP, invalid)))
 
 
 @case(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import msgspec
-from dcp_spec.constants import BP_MAX_PAYLOADS, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_MAX_PAYLOADS, BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.family import assign, attributes, before, instead, then
@@ -102,7 +102,7 @@ class NewestFirst(OwnQueue):
 places = instead(OwnQueue, OwnQueue.places)
 places("one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries",
     lambda self, entries: entries + 1, since=SpecVersion.V1_1)  # fmt: skip
-places("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue",
+places("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "limits queues to fewer payloads than maxEntries, such as 16",
     lambda self, entries: min(entries, 16), since=SpecVersion.V1_1)  # fmt: skip
 places("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64",
     lambda self, entries: entries % 64 or 1, since=SpecVersion.V1_1)  # fmt: skip
@@ -198,6 +198,46 @@ class Hangs(ClientList):
         chosen = super().take(room, len, most)
         self._hung = sum(size(payload) for _, payload in chosen) > room
         return [] if self._hung else chosen
+
+
+@mutant("dies-of-overflow", "BP-TX-04 BP-FMT-02 BP-TXP-09",
+    "crashes when the payloads for a beacon fit into it and their blocks, with headers, do not")  # fmt: skip
+class DiesOfOverflow(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        chosen = super().take(room, len, most)
+        if sum(size(payload) for _, payload in chosen) > room:
+            raise IndexError("a write past the end of the beacon")
+        return chosen
+
+
+@mutant(
+    "dies-of-full", "BP-QM-01 BP-TXP-04 BP-TXP-09", "crashes on a payload for a full DROPTAIL queue", unseen=NO_MODE
+)
+class DiesOfFull(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        refused = False
+
+        def submit(self, payload: bytes) -> Submission:
+            outcome = super().submit(payload)
+            self.refused = outcome == "discarded" and self.rule.places is Places.MAX_ENTRIES
+            return outcome
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        # An exception in a service would only be an internal error.
+        if any(isinstance(client.queue, self.queue) and client.queue.refused for client in self):
+            raise IndexError("a push to a full queue")
+        return super().take(room, size, most)
+
+
+@mutant("dies-of-empty", "BP-CLR-03 BP-QM-05 BP-TX-05", "crashes when a beacon is due while a REPEAT buffer is empty")
+class DiesOfEmpty(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        for client in self:
+            kept = client.queue is not None and client.queue.rule.when_sent == "keep"
+            # The buffer of SRP is empty after the start.
+            if kept and client.queue is not None and not client.queue and client.protocol_id != BP_PROTID_SRP:
+                raise IndexError("a peek into an empty queue")
+        return super().take(room, size, most)
 
 
 class AnyNumber(ClientList):

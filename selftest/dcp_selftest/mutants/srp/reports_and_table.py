@@ -53,9 +53,11 @@ report("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two"
 # fmt: on
 
 
-@mutant("exchanged-again", "SRP-TYP-03 SRP-SRV-03",
-    "exchanges the first two fields of safety data, and sends its last report again with new numbers")  # fmt: skip
-class ExchangedAgain(Air):
+@mutant(
+    "sent-again", "SRP-SEQ-01 SRP-SRV-03 SRP-SRV-04", "sends its last report again with new numbers and times",
+    unseen={"1.0 1.1": "SRP sends its newest report in every beacon (SRP-INI-08); only the model counts the reports"},
+)  # fmt: skip
+class SentAgain(Air):
     _last: Any = None
 
     def handle_timeout(self, now: int, wall: int) -> None:
@@ -65,6 +67,14 @@ class ExchangedAgain(Air):
 
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         self._last = report.s_data
+        return report
+
+
+@mutant("exchanged-again", "SRP-TYP-03 SRP-SRV-03",
+    "exchanges the first two fields of safety data, and sends its last report again with new numbers")  # fmt: skip
+class ExchangedAgain(SentAgain):
+    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
+        report = super().report(report)
         first, second, *others = report.s_data.as_dict().values()
         return msgspec.structs.replace(report, s_data=type(report.s_data)(second, first, *others))
 

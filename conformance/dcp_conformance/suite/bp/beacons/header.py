@@ -367,7 +367,9 @@ def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
     if waiting and last and all({prot_id for prot_id, _ in each.blocks} - ours for each in last):
         bench.info("Can a block in every beacon delay the largest payloads indefinitely?", "yes", "BP-TX-03")
         return
-    bench.complete(waiting, "each of the payloads is sent", "BP-TX-04")
+    bench.complete(
+        [f"that of client {each.prot_id:#06x}" for each in waiting], "each of the payloads is sent", "BP-TX-04"
+    )
 
 
 @case(

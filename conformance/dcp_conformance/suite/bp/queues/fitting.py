@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from dcp_spec.constants import BP_MAX_PAYLOADS
+from dcp_spec.constants import BP_MAX_PAYLOADS, SpecVersion
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, LISTENS, Needs, case
@@ -22,6 +22,7 @@ from dcp_conformance.test_steps.bp_clients import (
     areas_of_fixed_size,
     block_header_octets,
     header_octets,
+    listed,
     needed,
     queue_mode,
     room,
@@ -191,6 +192,37 @@ def head_of_line(bench: Bench) -> None:
                 "yes, for at least 8 periods",
                 "BP-TX-03",
             )
+
+
+@case(
+    "TC_BP_TX_BV_07",
+    "With allowMultiplePayloads, no payload overtakes one that does not fit any more",
+    requirements="BP-TX-06 BP-QM-03",
+    alone=FILLS,
+    stimulus="between two beacons, a client queues a small payload, one of the largest size, and a small one",
+    expect="the three payloads in this order",
+    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=CLIENT, when=areas_of_fixed_size),
+    window=8,
+)
+def large_among_small(bench: Bench) -> None:
+    large = room(bench) - block_header_octets(bench)
+    with BPClient(bench, queue_mode(bench), size=large, entries=4, several=True) as client:
+        start = 0
+
+        def act() -> list[bytes]:
+            nonlocal start
+            start = len(bench.heard)
+            payloads = [client.payload(size) for size in (8, large, 8)]
+            for payload in payloads:
+                client.transmit(payload)
+            return payloads
+
+        payloads = between_beacons(bench, "submission of three payloads", act, client.in_frame)
+        bench.until(lambda _: set(payloads) <= set(client.sent(start)), 8)
+        sent = [each for each in client.sent(start) if each in payloads]
+        places = [payloads.index(each) for each in sent]
+        what, frames = "the payloads in the order of submission", client.frames(start)
+        bench.none(places != sorted(places), what, seen=listed(sent, payloads), frames=frames, given=1 in places)
 
 
 @case(

@@ -154,6 +154,49 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
 
 
 @case(
+    "TC_BP_PAR_BI_03",
+    "After an invalid value was rejected, the old one stays in effect ({variant})",
+    requirements="BP-PAR-06 BP-PAR-02",
+    stimulus="BP-SetParameter with another valid value ({variant}), then with invalid ones, while a client sends",
+    expect="beacons and registrations according to the valid value, not to the default or an invalid one",
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET)),
+    variants={
+        "period": (PERIOD, (0, -100)),
+        "packet-size": Variant(
+            (SIZE, (0, 1)), needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET), when=areas_of_fixed_size)
+        ),
+        "network": Variant(
+            (NETWORK, (-1,)), needs=Needs(since=V2_0, entities=(), ut=(*CLIENT, GET, SET), header=("networkId",))
+        ),
+    },
+    window=30,
+)
+def still_in_effect(bench: Bench, wrong: tuple[str, tuple[int, ...]]) -> None:
+    name, refused = wrong
+    usual, new = bench.period, changed(bench, name)
+    with talking(bench), parameters_set(bench, "BP", **{name: new}):
+        for value in refused:
+            if bench.call(SET, name=name, value=value).ok and values(bench).get(name) == value:
+                bench.inconclusive(f"{name} = {value} is rejected, which this case needs", "accepted")
+        if name == SIZE:
+            counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
+            third = BPClient(bench, ONCE, size=new - counted - block_header_octets(bench) + 1)
+            if bench.expect_status(ILLEGAL_SIZE, REGISTER, **third.registration).ok:
+                bench.call(DEREGISTER, protId=third.prot_id)
+            return
+        bench.wait(0.5)
+        frames = some_beacons(bench, 9)
+        if name == PERIOD:
+            found = estimate(frames)
+            bench.proved(
+                found.mean + found.margin > 1.5 * usual, f"a mean interval of about {new} ms", found, frames=frames[:4]
+            )
+        else:
+            numbers = {each.beacon.bp.network_id for each in frames if each.beacon and each.beacon.bp}
+            bench.only(numbers, {new}, f"beacons of network {new:#x}", frames=frames[:4])
+
+
+@case(
     "TC_BP_PAR_BV_02",
     "BPPAR_MAXIMUM_PACKET_SIZE may have any value from the size of both headers to the bearer's maximum",
     requirements="BP-PAR-04 BP-PAR-14",

@@ -64,6 +64,36 @@ def request_dropped(bench: Bench) -> None:
 
 
 @case(
+    "TC_VD_PEND_BV_08",
+    "A request for an update is cancelled by an update that is older than the summary before it",
+    requirements="VD-PU-08",
+    stimulus=(
+        "a summary that is newer by two and, immediately after it in another beacon, a VarUpdate that is newer by "
+        "one; up to three times"
+    ),
+    expect="no VarReqUpdate in at least one attempt",
+    window=8,
+)
+def request_dropped_by_an_older_one(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = teach_variable(bench, peer)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 2))
+        peer.send(peer.update(var_id, 1))
+        bench.require_alive("a summary and an update")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+
+    _check_once(
+        bench,
+        attempt,
+        "no VarReqUpdate after a newer value has arrived, in at least one of 3 attempts",
+        "one in every attempt",
+    )
+
+
+@case(
     "TC_VD_PEND_BV_02",
     "A request for a variable is cancelled when the variable arrives before the request is sent",
     requirements="VD-PC-08",

@@ -98,6 +98,33 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
     check_time(bench, found, since, timeout_ms)
 
 
+def _hour(bench: Bench) -> int:
+    return 3600 * bench.profile.types.timestamp.per_second
+
+
+@case(
+    "TC_VD_SCR_TI_25",
+    "The timeout of a received variable begins with its reception, whatever its creationTime ({variant})",
+    requirements="VD-SCR-03 VD-PC-07",
+    stimulus=f"a variable with timeout {_LONG} ms and a creationTime {{variant}}; then no more records",
+    expect="the first VarDelete neither before the timeout since the reception, nor later than allowed",
+    window=60,
+    needs=_WIRE,
+    variants={"an-hour-ago": -1, "in-an-hour": 1},
+)
+def since_reception(bench: Bench, hours: int) -> None:
+    timeout_ms, peer, name = lasting(bench, _LONG), bench.peer(), bench.var_id()
+    stamp = max(bench.records.creation_time() + hours * _hour(bench), 0)
+    since = sent(bench, peer, peer.create(name, timeout=timeout_ms, creation_time=stamp))
+    if bench.until_instruction(_CREATE, name) is None:
+        bench.inconclusive("a forwarded VarCreate of a variable with a timeout", "none in time")
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        not_by_consumers(bench, name)
+        return
+    check_time(bench, found, since, timeout_ms)
+
+
 def _holds(count: int) -> Callable[[Bench], str | None]:
     return lambda bench: bench.sut.lacks("variables", count + 2 * _OTHERS) or None
 

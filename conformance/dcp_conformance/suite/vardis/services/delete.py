@@ -11,6 +11,7 @@ from dcp_conformance.test_steps.services import (
     OK,
     UNKNOWN,
     count_of,
+    created_again,
     delete_taught_variable,
     deleted_status,
     described,
@@ -85,6 +86,30 @@ def ends_repetitions(bench: Bench) -> None:
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     if bench.until_instruction(ICType.UPDATES, var_id) is None:
         bench.inconclusive("a VarUpdate of the variable", "none in time")
+    _check_deletion(bench, var_id, count)
+
+
+@case(
+    "TC_VD_DEL_BV_06",
+    "The VarDeletes of a variable that was created again are counted anew",
+    requirements="VD-DEL-05 VD-CRE-10",
+    stimulus=(
+        "RTDB-Create and RTDB-Delete with the maximum repCnt; after two VarDeletes RTDB-Create and RTDB-Delete again"
+    ),
+    expect="after the second RTDB-Delete exactly repCnt beacons with the VarDelete",
+    window=60,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+)
+def counted_anew(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Delete", varId=var_id)
+    for _ in range(2):
+        if bench.until_instruction(_D, var_id) is None:
+            bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+    created_again(bench, var_id, rep_cnt=count)
+    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
+        bench.inconclusive("a VarCreate of the new creation, which this case needs", "none in time")
     _check_deletion(bench, var_id, count)
 
 

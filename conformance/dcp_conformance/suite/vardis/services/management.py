@@ -14,6 +14,7 @@ from dcp_conformance.test_steps.services import (
     create_request,
     max_repetitions,
     produced,
+    settled,
     teach_variable,
 )
 from dcp_conformance.test_system.bench import Bench
@@ -146,6 +147,35 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
         answer = bench.call(method, **params)
         bench.services.check_status(answer, (INACTIVE,), method, requirement, "VD-MGT-04")
     return answer.result
+
+
+@case(
+    "TC_VD_MGT_BV_03",
+    "An activation of active VarDis repeats nothing that was sent",
+    requirements="VD-MGT-05 VD-SCP-02",
+    stimulus="RTDB-Create, and a variable of a peer; after their repetitions VD-MGMT-Activate twice",
+    expect="no further VarCreate, VarUpdate or VarDelete of these variables",
+    window=16,
+    needs=_needs("RTDB-Create"),
+)
+def activated_while_active(bench: Bench) -> None:
+    mine = produced(bench)
+    settled(bench, mine)
+    names = [mine, teach_variable(bench, bench.peer())]
+    settled(bench, names[1])
+    mark = bench.mark()
+    for _ in range(2):
+        bench.expect_status(OK, _ON, "VD-MGT-05")
+    bench.require_alive("an activation")
+    bench.beacons(3)
+    repeated = [
+        each
+        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
+        for name in names
+        for each in bench.instructions(kind, name, mark)
+    ]
+    # The last repetition of the second variable may have been in preparation.
+    bench.none(repeated[1:], "no VarCreate, VarUpdate or VarDelete of these variables", "VD-SCP-02")
 
 
 @case(

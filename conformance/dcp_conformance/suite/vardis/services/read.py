@@ -98,6 +98,28 @@ def foreign(bench: Bench) -> None:
 
 
 @case(
+    "TC_VD_REA_BV_03",
+    "RTDB-Read returns the local time of the reception, not the creationTime ({variant})",
+    requirements="VD-REA-04 VD-PC-07",
+    stimulus="RTDB-Create; a peer creates a variable with a creationTime {variant}; RTDB-Read of both",
+    expect="two times tStamp that differ by less than half an hour",
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Read")),
+    variants={"an-hour-ago": -1, "in-an-hour": 1},
+)
+def time_of_reception(bench: Bench, hours: int) -> None:
+    second = bench.profile.types.timestamp.per_second
+    stamp = max(bench.records.creation_time() + hours * 3600 * second, 0)
+    own = produced(bench, value=b"own")
+    var_id = teach_variable(bench, bench.peer(), value=b"first", creation_time=stamp)
+    here = _read(bench, own, bench.records.value(b"own")).get("tStamp")
+    there = _read(bench, var_id, bench.records.value(b"first")).get("tStamp")
+    if not isinstance(here, int) or not isinstance(there, int):
+        bench.inconclusive("tStamp in both answers, which this case needs", f"{here}, {there}")
+    apart = abs(there - here) / 1e9
+    bench.proved(apart < 1800, "a tStamp near that of a variable created now", f"{apart:.0f} s apart")
+
+
+@case(
     "TC_VD_REA_BI_01",
     "RTDB-Read rejects a variable that does not exist",
     requirements="VD-REA-02",

@@ -1,0 +1,57 @@
+"""What the model alone finds in the described faults, as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from statistics import median
+
+from dcp_spec.markdown import table
+
+from dcp_selftest.mutants import all_mutants
+
+from .campaign import Searched
+from .faults import DESCRIBED
+
+#: Faults that no sequence of a search can show: a counter wraps after 65,536 steps.
+_LONG = ("M-BP-HDR-08-sixteen-bits", "M-SRP-SEQ-01-sixteen-bits")
+_HEADINGS = ("mutant", "the node ...", "violates", "found by", "named", "steps", "seconds")
+
+
+def section(results: Sequence[Searched], sequences: int, seed: int) -> str:
+    """Return the section ``model`` of the document. ``sequences``: most drawn ones; ``seed``: of the search."""
+    found = [each for each in results if each.by]
+    named = sum(_is_named(each) for each in found)
+    by_run = sum(each.by == "run" for each in found)
+    lines = [
+        "## The model",
+        "",
+        f"Made by `dcp-selftest model --described --shrink --sequences {sequences} --seed {seed} --document "
+        "docs/selftest.md`.",
+        "",
+        "An adversary's trial of the suite described these faults; no case noticed most of them at that time. Here no",
+        "case is executed, but only the sequences of a run (`run`), and, if these show nothing, newly drawn ones",
+        f"(`search`, up to {sequences:,}). *Steps* is the length of the counterexample after steps that it does not",
+        "need were left out, *seconds* the processor time with that of making it shorter.",
+        "",
+        f"{len(found)} of {len(results)} are found, {by_run} by the sequences of a run. The counterexample names a",
+        f"violated requirement in {named}. Median length: {median(each.steps for each in found):g} steps."
+        if found
+        else "None is found.",
+        "",
+        table(_HEADINGS, _rows(results), "lllllrr"),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(results: Sequence[Searched]) -> Iterator[tuple[object, ...]]:
+    order = {name: number for number, name in enumerate(DESCRIBED)}
+    for each in sorted(results, key=lambda each: order[each.fault.id]):
+        mutant = all_mutants()[each.fault.id]
+        by = each.by or ("`run --plan long`" if mutant.id in _LONG else "-")
+        named = ", ".join(each.requirements) + ("" if not each.by or _is_named(each) else " (another)")
+        row = f"`{mutant.id}`", mutant.what, ", ".join(mutant.requirements), by, named
+        yield *row, each.steps or "-", f"{each.seconds:.1f}"
+
+
+def _is_named(each: Searched) -> bool:
+    return not set(each.requirements).isdisjoint(all_mutants()[each.fault.id].requirements)

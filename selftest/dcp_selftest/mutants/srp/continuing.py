@@ -1,0 +1,76 @@
+"""Faults of SRP after an expiry, a record of its own, a discarded record, and with two records in a beacon."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import BP_PROTID_SRP
+from msgspec.structs import replace
+
+from dcp_codec.errors import DecodeError
+from dcp_selftest.mutants.mutant import mutant
+from dcp_stack.bp.receive import Receiver
+from dcp_stack.bp.wire import Block
+from dcp_stack.srp.entity import StateReporting
+from dcp_stack.srp.neighbour_table import NeighbourTable
+
+
+@mutant("anew-when-alone", "SRP-SEQ-01", "numbers its records from 0 again when the last neighbour has expired")
+class AnewWhenAlone(StateReporting):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        before = len(self._table)
+        super().handle_timeout(now, wall)
+        if before and not len(self._table):
+            self._seqno = 0
+
+
+@mutant("own-record-counts", "SRP-SEQ-01 SRP-RX-02", "continues the numbers of a received record with its own nodeId")
+class OwnRecordCounts(StateReporting):
+    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
+        try:
+            report = self._config.codec.decode_report(payload)
+        except DecodeError:
+            report = None
+        if report is not None and report.node_id == self._node_id:
+            self._seqno = max(self._seqno, report.seqno + 1)
+        super().handle_payload(payload, sender_id, now=now, wall=wall)
+
+
+@mutant(
+    "moved-data",
+    "SRP-RUN-02 SRP-NT-01 SRP-NT-02",
+    "moves the last entry to the place of an expired one, not its identifier",
+)
+class MovedData(NeighbourTable):
+    def expire(self, now: int, timeout: int) -> list[bytes]:
+        before = list(self._entries)
+        gone = super().expire(now, timeout)
+        for node_id in gone:
+            last = next(reversed(self._entries), None)
+            if last is not None and before.index(last) > before.index(node_id):
+                self._entries[node_id] = replace(self._entries.pop(last), node_id=node_id)
+        return gone
+
+
+@mutant(
+    "long-record-renews",
+    "SRP-RX-01 SRP-RUN-02",
+    "renews the age of an entry before it discards a record that is too long",
+)
+class LongRecordRenews(StateReporting):
+    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
+        place = self._node_id_offset
+        entry = self._table.lookup(payload[place : place + len(self._node_id)])
+        if entry is not None and len(payload) > self.record_size:
+            self._table._entries[entry.node_id] = replace(entry, received_at=now, reception_time=wall)
+        super().handle_payload(payload, sender_id, now=now, wall=wall)
+
+
+@mutant("first-of-beacon", "SRP-RX-03 BP-RX-07", "processes only the first SRP payload of a beacon")
+class FirstOfBeacon(Receiver):
+    def receive(self, octets: bytes, now: int) -> None:
+        self.reports = 0
+        super().receive(octets, now)
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        self.reports += block.protocol_id == BP_PROTID_SRP
+        if block.protocol_id != BP_PROTID_SRP or self.reports == 1:
+            super()._deliver(block, sender)

@@ -1,0 +1,71 @@
+"""A second process that applies a part of the rules changes no result."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+from dcp_conformance.check.judge import Judge
+from dcp_conformance.check.recording import judge_versions
+from dcp_conformance.check.topology import told
+from dcp_conformance.errors import UsageError
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import RunResult
+from dcp_conformance.model.verdict import Verdict
+
+from dcp_codec.capture import CaptureError, create_capture, open_capture
+
+from .test_versions import CAPTURES, frames_of, moved, recorded
+
+
+def results(path: Path, jobs: int, links: str = "") -> list[RunResult]:
+    """Judge a recording; without the times of judging."""
+    runs = judge_versions(path, None, Pics(), jobs=jobs, topology=told([links]) if links else None)
+    return [msgspec.structs.replace(run, started="", duration=0.0) for run, _ in runs]
+
+
+@pytest.mark.parametrize(("name", "links"), [("b_crud", ""), ("c_latejoin", "00:01-00:02-00:03")])
+def test_two_processes_have_the_same_results_as_one(name: str, links: str):
+    path = CAPTURES / f"{name}.mcap"
+    (one,), (two,) = results(path, 1, links), results(path, 2, links)
+    assert one == two
+    # Both shares have findings, with the frames that they cite.
+    found = {case.id: case for case in two.cases if case.verdict is Verdict.FAIL}
+    assert found["CK_DATA_ORDER"].evidence
+    assert any("TAKES" in each or "ANSWER" in each for each in found)
+
+
+def test_two_processes_judge_two_versions(tmp_path: Path):
+    new, old = frames_of("a_bus3", 60), frames_of("a_bus3_v1.3.6", 60)
+    step = new[0].time_ns - old[0].time_ns
+    both = [*new, *(moved(frame, frame.time_ns + step) for frame in old)]
+    path = recorded(tmp_path / "both.pcap", sorted(both, key=lambda frame: frame.time_ns))
+    one, two = results(path, 1), results(path, 2)
+    assert len(one) == 2
+    assert one == two
+
+
+def test_a_process_that_is_killed_is_reported(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Judge, "share", lambda _self: os._exit(9))
+    with pytest.raises(UsageError, match="was it killed"):
+        results(CAPTURES / "b_crud.mcap", 2)
+
+
+def test_damage_is_reported_once(tmp_path: Path):
+    path = tmp_path / "cut.pcap"
+    with create_capture(path) as writer:
+        for frame in frames_of("b_crud", 80):
+            writer.write(frame)
+    path.write_bytes(path.read_bytes()[:-7])
+    with open_capture(path) as reader:
+        list(reader)
+        (damage,) = [problem.message for problem in reader.problems]
+    for jobs in (1, 2):
+        (run,) = results(path, jobs)
+        assert run.notes.count(damage) == 1
+    path.write_bytes(b"\xa1\xb2\xc3\xd4")
+    for jobs in (1, 2):
+        with pytest.raises((UsageError, CaptureError)):
+            results(path, jobs)
