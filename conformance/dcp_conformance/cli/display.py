@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -108,6 +109,51 @@ def progress_bar(*, quiet: bool) -> Progress:
     )
 
 
+class Minutes:
+    """Prints once a minute how far a run is, also while nothing is completed."""
+
+    def __init__(self, unit: str, out: Callable[[str], None], *, clock: Callable[[], float] = time.monotonic) -> None:
+        """``unit``: what is counted, in the plural. ``out`` prints a line. ``clock``: seconds."""
+        self._unit, self._out, self._clock = unit, out, clock
+        self._total = self._done = 0
+        self._last = ""
+        self._began = clock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._print, daemon=True)
+
+    def start(self, total: int) -> None:
+        """Begin a run of so many units."""
+        self._total, self._began = total, self._clock()
+
+    def done(self, name: str) -> None:
+        """Count a unit."""
+        self._done += 1
+        self._last = name
+
+    def line(self) -> str:
+        """Return how far the run is, the estimated seconds that are left, and the last completed unit."""
+        passed = self._clock() - self._began
+        text = f"{self._done} of {self._total} {self._unit} after {passed:.0f} s"
+        if self._done:
+            left = passed * max(0, self._total - self._done) / self._done
+            text += f", about {left:.0f} s left; last completed: {self._last}"
+        return text
+
+    def _print(self) -> None:
+        while not self._ended.wait(_MINUTE):
+            if self._total:
+                self._out(self.line())
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+
+
 class Display:
     """Progress bar on a terminal, and a line for each case that did not pass, or with ``verbose`` for each case."""
 
@@ -117,22 +163,25 @@ class Display:
         self._console = console()
         self._progress = progress_bar(quiet=quiet)
         self._task: TaskID | None = None
-        self._total = self._done = 0
-        self._began = self._told = time.monotonic()
+        self._minutes = Minutes("cases", self.waiting)
 
     def __enter__(self) -> Self:
         self._progress.start()
+        # The progress bar tells the same.
+        if self._progress.disable and not self._quiet:
+            self._minutes.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._minutes.__exit__(kind, error, trace)
         self._progress.stop()
 
     def start(self, total: int) -> None:
         """Set the number of test cases of the run."""
         self._task = self._progress.add_task("cases", total=total)
-        self._total, self._began = total, time.monotonic()
+        self._minutes.start(total)
 
     def waiting(self, what: str) -> None:
         """Print a message on standard error: what the run waits for, or a fault of the adapter."""
@@ -143,8 +192,7 @@ class Display:
         """Show the result of a completed test case."""
         if self._task is not None:
             self._progress.update(self._task, advance=1, description=data(case.id))
-        self._done += 1
-        self._tell(case)
+        self._minutes.done(case.id)
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
         if self._quiet or not (notable or self._verbose):
             return
@@ -153,16 +201,6 @@ class Display:
         out.print(self._line(result, surprise), soft_wrap=True, highlight=False)
         # A program may be reading the output from a pipe.
         out.file.flush()
-
-    def _tell(self, case: Case) -> None:
-        """Without a progress bar, print once a minute how far the run is."""
-        now = time.monotonic()
-        if self._quiet or not self._progress.disable or now - self._told < _MINUTE or not self._done:
-            return
-        self._told, passed = now, now - self._began
-        left = passed * max(0, self._total - self._done) / self._done
-        text = f"{self._done} of {self._total} cases after {passed:.0f} s, about {left:.0f} s left; now {case.id}"
-        self._progress.console.print(data(text), soft_wrap=True, highlight=False)
 
     def _line(self, result: CaseResult, surprise: str) -> str:
         style = STYLES[result.verdict]

@@ -42,7 +42,7 @@ def command() -> None:
 
 def _live(options: dict[str, Any]) -> int:
     """Run a campaign against an SUT that is opened as by ``dcp-conformance run``; return the exit status."""
-    from dcp_conformance.execution.target import describe, open_target
+    from dcp_conformance.execution.target import describe, open_target, say_contradictions
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, NotAliveError
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
@@ -65,8 +65,8 @@ def _live(options: dict[str, Any]) -> int:
         return write_tests(codec, Batches(drawn, size), options)
     with open_target(where) as opened:
         opened.runner.prepare()
-        told = functools.partial(say, err=True) if where.foreign else None
-        target = LiveTarget(opened, rate=options["rate"] or RATE, say=told)
+        say_contradictions(opened.runner, functools.partial(say, err=True))
+        target = LiveTarget(opened, rate=options["rate"] or RATE)
         options["rate"] = None
         # This also determines the node identifier, which the sequences use.
         try:
@@ -196,7 +196,7 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
 def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callable[[Artefact], Target]:
     """Return a function that opens the target of an artefact; it raises ``UsageError`` if no option names an SUT."""
-    from dcp_conformance.execution.target import open_target
+    from dcp_conformance.execution.target import open_target, say_contradictions
     from dcp_conformance.fuzz.execute.live import LiveTarget
 
     target = target_of(options)
@@ -204,6 +204,7 @@ def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callab
     if target.foreign or target.in_process or options["own_node"]:
         opened = stack.enter_context(open_target(target))
         opened.runner.prepare()
+        say_contradictions(opened.runner, functools.partial(say, err=True))
 
     def made(artefact: Artefact) -> Target:
         if artefact.target.mode == "model":

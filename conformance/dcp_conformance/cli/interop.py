@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,9 +82,10 @@ def command(
 
     FILE (TOML) describes the implementations; without FILE the reference node in all versions is tested with itself.
     """
+    from dcp_conformance.cli.display import Minutes
     from dcp_conformance.interop.definition import select_tests
     from dcp_conformance.interop.implementations import BUILT_IN, Matrix, load_description, resolve
-    from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
+    from dcp_conformance.interop.matrix import applicable, cells_of, forecast, parse_only, run_matrix
 
     chosen = select_tests(tests, short=short)
     if show_list:
@@ -115,7 +118,13 @@ def command(
         columns = [*choice.columns, *names] if choice.columns else []
         cells = cells_of(found, chosen, rows=rows, columns=columns, world=kind, seed=seed)
 
+    if (text := forecast(cells, jobs)) and not quiet:
+        say(text)
+    minutes = Minutes("cells", partial(say, err=True))
+    minutes.start(len(applicable(cells)))
+
     def on_cell(result: CellResult, done: int, many: int) -> None:
+        minutes.done(f"{result.a} with {result.b}: {result.test}")
         if not quiet or result.verdict not in ("pass", "not-applicable"):
             _say_cell(result, f"{done}/{many} ")
 
@@ -123,7 +132,7 @@ def command(
 
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
-    with ending_like_interrupts():
+    with ending_like_interrupts(), contextlib.nullcontext() if quiet else minutes:
         matrix = run_matrix(cells, seeds=seeds, jobs=jobs, folder=report_dir, on_cell=on_cell, command=as_typed())
         with deferred():
             if file is not None:

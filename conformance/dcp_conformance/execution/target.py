@@ -294,6 +294,14 @@ def _node_on_link(session: Session) -> str:
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
 
 
+def say_contradictions(runner: Runner, say: Callable[[str], None]) -> None:
+    """Call ``say`` with each claim of PICS and PIXIT that beacons or the upper tester contradict."""
+    from dcp_conformance.suite import sanity
+
+    for text in runner.contradicted_claims(next(cases_of(sanity))):
+        say(text)
+
+
 def require_answer(runner: Runner, say: Callable[[str], None]) -> None:
     """Determine the identifier of the implementation from its beacons, after waiting for a start.
 
@@ -304,8 +312,7 @@ def require_answer(runner: Runner, say: Callable[[str], None]) -> None:
 
     session, case = runner.session, next(cases_of(sanity))
     why = runner.life.await_start(case, say) if runner.control is not None else ""
-    for text in runner.contradicted_claims(case):
-        say(text)
+    say_contradictions(runner, say)
     bench = Bench(session, case)
     if not bench.beacons(1, 5) and not bench.probes.probe(10) and not bench.heard:
         why = why or "neither its beacons nor reactions arrive there"

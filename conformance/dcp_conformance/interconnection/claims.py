@@ -7,10 +7,15 @@ from itertools import pairwise
 from statistics import median
 from typing import Any, Final
 
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.test_system.bench import Bench
+from dcp_spec.constants import BP_PROTID_VARDIS
 
-_PERIOD, _NETWORK, _NODE = "BPPAR_BEACON_PERIOD", "BPPAR_NETWORK_ID", "BPPAR_OWN_NODE_IDENTIFIER"
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sut_properties import PIXIT
+
+from .settings import suspect
+
+_PERIOD: Final = "BPPAR_BEACON_PERIOD"
 #: Number of intervals that show a period, and factor from which on it contradicts the claim.
 _INTERVALS: Final = 4
 _FACTOR: Final = 1.6
@@ -23,8 +28,16 @@ def contradictions(pics: Pics, bench: Bench, parameters: Mapping[str, Any], abou
     """Yield a sentence for each claim that is contradicted.
 
     ``bench``: one that has heard beacons; ``parameters`` and ``about``: what the upper tester reports, both may be
-    empty.
+    empty. If no claim is contradicted, yield which setting of the tester does not fit what is heard.
     """
+    found = [*_node_id(pics, bench, about), *_period(pics.pixit.beacon_period_ms, bench, parameters.get(_PERIOD))]
+    found += [*_reported(pics.pixit, parameters), *_heard(pics.pixit, bench)]
+    yield from found
+    if not found and (setting := suspect(bench)):
+        yield setting
+
+
+def _node_id(pics: Pics, bench: Bench, about: Mapping[str, Any]) -> Iterator[str]:
     claimed = pics.pixit.node_id
     reported = about.get("nodeId")
     if claimed is not None and isinstance(reported, str) and _plain(reported) != _plain(claimed):
@@ -32,7 +45,32 @@ def contradictions(pics: Pics, bench: Bench, parameters: Mapping[str, Any], abou
     elif claimed is not None and not bench.heard and bench.receiver.others:
         others = sorted({each.sender.hex(":") for each in bench.receiver.others if each.sender is not None})
         yield f"pixit.node_id is {claimed}, but only beacons of {', '.join(others[:3])} are heard"
-    yield from _period(pics.pixit.beacon_period_ms, bench, parameters.get(_PERIOD))
+
+
+def _reported(pixit: Testing, parameters: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the limits and identifiers in the PIXIT that differ from the parameters that the upper tester reports."""
+    for name, key in {**PIXIT, "BPPAR_NETWORK_ID": "network_id"}.items():
+        claimed, reported = getattr(pixit, key), parameters.get(name)
+        if None not in (claimed, reported) and claimed != reported:
+            yield f"pixit.{key} is {claimed:g}, but {name} is reported as {reported}: the tester uses the latter"
+
+
+def _heard(pixit: Testing, bench: Bench) -> Iterator[str]:
+    """Yield the claims that beacons contradict: network identifier, and sizes of packets and payloads."""
+    headers = [each.beacon.bp for each in bench.heard if each.beacon is not None and each.beacon.bp is not None]
+    networks = {header.network_id for header in headers if header.network_id is not None}
+    if pixit.network_id is not None and networks and pixit.network_id not in networks:
+        listed = ", ".join(map(str, sorted(networks)))
+        yield f"pixit.network_id is {pixit.network_id}, but beacons carry networkId {listed}"
+    blocks = [len(octets) for each in bench.heard for number, octets in each.blocks if number == BP_PROTID_VARDIS]
+    longest = {
+        "max_packet_size": max((len(each.octets) for each in bench.heard), default=0),
+        "max_payload_size": max(blocks, default=0),
+    }
+    for key, most in longest.items():
+        if (claimed := getattr(pixit, key)) is not None and most > claimed:
+            what = "a beacon" if key == "max_packet_size" else "a payload of VarDis"
+            yield f"pixit.{key} is {claimed}, but {what} of {most} octets is heard"
 
 
 def ignored(drops: object) -> Iterator[str]:

@@ -114,6 +114,43 @@ def default_jobs(world: WorldKind) -> int:
     return processors if world == "virtual" else 6 * processors
 
 
+def in_order(cells: Sequence[Cell], places: Iterable[int]) -> list[int]:
+    """Return places of cells in the order of their start: the short selection first, and long cells before short ones.
+
+    A long cell would otherwise be left alone at the end.
+    """
+    tests = all_tests()
+    return sorted(places, key=lambda place: (not tests[cells[place].test].short, -tests[cells[place].test].longest_s))
+
+
+def applicable(cells: Iterable[Cell]) -> list[Cell]:
+    """Return the cells that will be executed."""
+    tests = all_tests()
+    return [each for each in cells if not obstacle(tests[each.test], *each.implementations, each.world)]
+
+
+def forecast(cells: Iterable[Cell], jobs: int | None = None) -> str:
+    """Return how many cells will be executed, and how long that takes at most; empty for cells in virtual time.
+
+    ``jobs``: the number of concurrent cells; None: the default.
+    """
+    tests = all_tests()
+    real = [each for each in applicable(cells) if each.world == "real"]
+    if not real:
+        return ""
+    short = [each for each in real if tests[each.test].short]
+    text = f"{len(real)} cells, about {_seconds(real, jobs):.0f} s at most"
+    if short and len(short) < len(real):
+        text += f"; first the short selection (--short), {len(short)} cells in about {_seconds(short, jobs):.0f} s"
+    return text
+
+
+def _seconds(cells: Sequence[Cell], jobs: int | None) -> float:
+    """Return an upper estimate of the seconds that cells take."""
+    longest = [all_tests()[each.test].longest_s for each in cells]
+    return max(sum(longest) / (jobs or default_jobs("real")), *longest, 0.0)
+
+
 def run_matrix(
     cells: Sequence[Cell],
     *,
@@ -140,8 +177,7 @@ def run_matrix(
             results[number] = run_cell(cell, tests[cell.test])
         else:
             waiting.append(number)
-    # Long cells start first, so that none of them is left alone at the end.
-    waiting.sort(key=lambda number: tests[cells[number].test].longest_s, reverse=True)
+    waiting = in_order(cells, waiting)
     done = len(cells) - len(waiting)
     where = None if folder is None else folder.resolve()
     chosen = [cells[number] for number in waiting]

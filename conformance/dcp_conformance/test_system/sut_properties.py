@@ -22,7 +22,7 @@ MS: Final = 1_000_000
 #: Shortest time limit for a reaction, in beacon periods.
 FLOOR: Final = REACTION_FLOOR
 #: Names of parameters in the PIXIT.
-_PIXIT: Final = {
+PIXIT: Final = {
     "BPPAR_MAXIMUM_PACKET_SIZE": "max_packet_size",
     "VARDISPAR_MAX_VALUE_LENGTH": "max_value_length",
     "VARDISPAR_MAX_DESCRIPTION_LENGTH": "max_description_length",
@@ -199,7 +199,7 @@ class SutProperties:
 
     def _assumed(self, name: str) -> str:
         """Return a text that a parameter was assumed; empty if its value is known."""
-        pixit = _PIXIT[name]
+        pixit = PIXIT[name]
         if name in self._facts.parameters or getattr(self.pixit, pixit) is not None:
             return ""
         return f"{name} was taken to be {self.parameter(name)}, as {_usual(name)}: state its value (pixit.{pixit})"

@@ -7,7 +7,6 @@ The target is reset or restarted before the steps, and has to be alive before an
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Final
 
 from dcp_codec.errors import DecodeError
@@ -50,15 +49,9 @@ class LiveTarget:
         *,
         rate: float = RATE,
         probes: int = PROBES,
-        say: Callable[[str], None] | None = None,
     ) -> None:
-        """``rate``: frames a second. ``probes``: markers to check life.
-
-        ``say`` is called with each claim that the implementation contradicts, before anything is sent to it; None:
-        claims are not examined.
-        """
+        """``rate``: frames a second. ``probes``: markers to check life."""
         self._runner = opened.runner
-        self._say = say
         self.session: Session = opened.runner.session
         self.control: SutControl | None = opened.runner.control
         self.name = opened.runner.about().name or self.session.lower.name
@@ -182,9 +175,6 @@ class LiveTarget:
             self._restart()
             why = self._lifelessness(bench)
         if why is None:
-            if not self._was_well and self._say is not None:
-                for text in self._runner.contradicted_claims(bench.case):
-                    self._say(text)
             self._was_well = True
         elif not self._was_well:
             raise NotAliveError(

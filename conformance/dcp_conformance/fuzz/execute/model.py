@@ -16,7 +16,7 @@ from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.target import Target as Opened
-from dcp_conformance.execution.target import TargetOptions, describe, open_target
+from dcp_conformance.execution.target import TargetOptions, describe, open_target, say_contradictions
 from dcp_conformance.fuzz.findings.artefact import save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, effect_of
 from dcp_conformance.fuzz.steps import Effect
@@ -78,7 +78,8 @@ def run_search(
         return _told(found, codec.profile.name, "our own node in this process", words, where.seed, coverage, directory)
     with open_target(where) as opened:
         opened.runner.prepare()
-        live = LiveTarget(opened, say=functools.partial(say, err=True) if where.foreign else None)
+        say_contradictions(opened.runner, functools.partial(say, err=True))
+        live = LiveTarget(opened)
         try:
             live.prepare()
         except NotAliveError as error:

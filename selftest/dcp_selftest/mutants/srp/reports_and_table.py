@@ -79,6 +79,12 @@ class ExchangedAgain(SentAgain):
         return msgspec.structs.replace(report, s_data=type(report.s_data)(second, first, *others))
 
 
+instead(StateReporting, StateReporting.update_safety_data)(
+    "mute", "SRP-SRV-03", "confirms safety data with OK, and sends no state reports",
+    lambda self, data, *, now, wall: UpdateSafetyDataConfirm(SRPStatus.OK),
+)  # fmt: skip
+
+
 @mutant("beacon-number", "SRP-SEQ-01", "uses the sequence number of the beacon for the report in it")
 class NumberOfBeacon(Air):
     count = 0

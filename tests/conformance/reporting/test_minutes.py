@@ -1,0 +1,32 @@
+"""A run without a progress bar tells every minute how far it is."""
+
+from __future__ import annotations
+
+import queue
+
+import pytest
+from dcp_conformance.cli import display
+from dcp_conformance.cli.display import Minutes
+
+PATIENCE = 60
+
+
+def test_the_line_has_the_time_that_is_left_and_the_last_case() -> None:
+    passed = 0.0
+    minutes = Minutes("cases", print, clock=lambda: passed)
+    minutes.start(200)
+    passed = 60.0
+    assert minutes.line() == "0 of 200 cases after 60 s"
+    for number in range(50):
+        minutes.done(f"TC_{number}")
+    assert minutes.line() == "50 of 200 cases after 60 s, about 180 s left; last completed: TC_49"
+
+
+def test_it_is_printed_while_nothing_is_completed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display, "_MINUTE", 0.001)
+    lines: queue.Queue[str] = queue.Queue()
+    minutes = Minutes("cells", lines.put)
+    minutes.start(3)
+    with minutes:
+        for _ in range(2):
+            assert lines.get(timeout=PATIENCE).startswith("0 of 3 cells after ")
