@@ -67,20 +67,39 @@ def test_a_crash_fails_the_cell_with_the_last_output() -> None:
     assert "out of battery" in result.reason
 
 
+SOCKET = "import socket, time; time.sleep({before}); s = socket.socket(socket.AF_PACKET, socket.SOCK_RAW); "
+
+
 def test_a_silent_implementation_without_upper_tester_fails_by_missing_beacons() -> None:
-    command = [sys.executable, "-c", "import time; time.sleep(1000)"]
-    result = play(Implementation(start=command, ready_s=1), "IT_VD_UPDATE-pair")
+    command = [sys.executable, "-c", SOCKET.format(before=0) + "time.sleep(1000)"]
+    result = play(Implementation(start=command, ready_s=30), "IT_VD_UPDATE-pair")
     assert result.verdict is Verdict.FAIL
     assert "place 1 (theirs) sent nothing for variable 20" in result.reason
+
+
+def test_an_absent_implementation_is_named_and_fails_no_requirement() -> None:
+    command = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    result = play(Implementation(start=command, ready_s=1), "IT_VD_UPDATE-pair")
+    assert result.verdict is Verdict.ERROR
+    assert "not ready within 1 s: place 1 (theirs): no beacon, and no packet or UDP socket" in result.reason
+
+
+FIXED = f"{sys.executable} -m dcp_stack.cli run --interface {{interface}} --node-id 02:00:00:00:00:01"
+TALKS = f"{FIXED} --position track:circle,radius=5,speed=1"
+SERVES = f"{FIXED} --control {{control}}"
+
+
+@pytest.mark.parametrize("options", [{"start": TALKS}, {"start": SERVES, "upper_tester": "unix:{control}"}])
+def test_an_identifier_of_another_station_is_named_and_fails_no_requirement(options: dict[str, Any]) -> None:
+    result = play(Implementation(**options), "IT_VD_UPDATE-pair")
+    assert result.verdict is Verdict.ERROR
+    assert "place 1 (theirs) uses the node identifier 02:00:00:00:00:01 instead of 02:00:00:00:00:02" in result.reason
 
 
 def test_a_command_that_does_not_exist_is_an_error_with_its_name() -> None:
     result = play(Implementation(start="no-such-program-anywhere -i {interface}", ready_s=2), "IT_VD_UPDATE-pair")
     assert result.verdict in (Verdict.FAIL, Verdict.ERROR)
     assert "no-such-program-anywhere" in result.reason
-
-
-SOCKET = "import socket, time; time.sleep({before}); s = socket.socket(socket.AF_PACKET, socket.SOCK_RAW); "
 
 
 def world_of(command: str, told: list[str], **options: Any) -> RealWorld:

@@ -62,7 +62,7 @@ def run_body(trial: Trial) -> None:
             case.run(bench)
     finally:
         # Determined before restore(): calls that undo changes are not the cause of a death.
-        trial.stimulus = likely_stimulus(case, bench.traffic)
+        trial.stimulus = likely_stimulus(case, bench)
         bench.restoration.restore()
 
 

@@ -114,7 +114,7 @@ class ConformanceRun:
         self.trouble = ""
         """Why the run could not begin or be completed: a problem of the tester, not of the implementation."""
         self._stopped = False
-        """Whether ``max_fails`` has ended the run."""
+        """Whether ``max_fails``, or an implementation that does not take part, has ended the run."""
         self.usage = False
         """Whether the user has caused the trouble (exit status 2)."""
         self.interrupted = False
@@ -180,9 +180,13 @@ class ConformanceRun:
         try:
             if not self.open():
                 return
-            rest = planned
+            rest = list(planned)
+            if rest and rest[0].id == SANITY:
+                result, _ = self.run_case(rest.pop(0))
+                if self._absent() or self.stops(result):
+                    return
             if self.side_by_side > 1 and self.repeat == 1 and self.max_fails != 1:
-                rest = self._run_side_by_side(planned)
+                rest = self._run_side_by_side(rest)
             for case in rest:
                 result, _ = self.run_case(case)
                 if self.stops(result):
@@ -204,9 +208,6 @@ class ConformanceRun:
         from .concurrent import execute
 
         assert self._runner is not None
-        rest = list(planned)
-        if rest and rest[0].id == SANITY:
-            self.run_case(rest.pop(0))
         passed: dict[str, CaseResult] = {}
 
         def on_result(case: Case, result: CaseResult) -> None:
@@ -215,13 +216,13 @@ class ConformanceRun:
             self.take(case, result)
 
         try:
-            self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+            self.repeated_alone = execute(self._runner, self.cases[SANITY], planned, self.side_by_side, on_result)
         except ConformanceError:
             raise
         except Exception as error:
             # Keep the passes, and execute all other cases alone.
             self._faulty(error)
-            self._notes.append(f"after it, {len(rest) - len(passed)} cases were executed one at a time")
+            self._notes.append(f"after it, {len(planned) - len(passed)} cases were executed one at a time")
         if passed:
             repeated = len(self.repeated_alone.keys() - passed)
             beside = sum(result.side_by_side for result in passed.values())
@@ -234,7 +235,16 @@ class ConformanceRun:
                     f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which "
                     "saves time; their verdicts do not depend on it. --side-by-side 1 keeps the configured period"
                 )
-        return [case for case in rest if case.id not in passed]
+        return [case for case in planned if case.id not in passed]
+
+    def _absent(self) -> bool:
+        """Return whether the implementation does not take part from the beginning, so that nothing can be judged."""
+        assert self._runner is not None
+        if not (self.options.foreign and self._runner.dead):
+            return False
+        self._notes.append(f"nothing was tested on {self._runner.session.lower.name}: {self._runner.dead}")
+        self._stopped = True
+        return True
 
     def _faulty(self, error: Exception) -> None:
         """Record a fault of the tester. Earlier results are still reported."""

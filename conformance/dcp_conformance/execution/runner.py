@@ -11,9 +11,10 @@ from typing import NamedTuple
 import msgspec
 from dcp_spec.parameters import parameters
 
-from dcp_conformance.errors import ContractError, UpperTesterError
+from dcp_conformance.errors import ContractError, UpperTesterError, UsageError
 from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
-from dcp_conformance.interconnection.claims import contradictions
+from dcp_conformance.interconnection.claims import contradictions, ignored
+from dcp_conformance.interconnection.collision import collision
 from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not
@@ -30,7 +31,7 @@ from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed
-from .survival.attribution import Trial, attribute, blamed, came_back, with_failures_of
+from .survival.attribution import Trial, attribute, blamed, came_back, kinds, with_failures_of
 from .survival.life import Life
 from .survival.readiness import Readiness
 
@@ -97,6 +98,8 @@ class Runner:
         """Whether the last case has left a state that can affect later ones, or got an internal error as an answer."""
         self._not_restored: dict[str, str] = {}
         """Cases whose changes could not be undone, with the reason."""
+        self._ignored: list[str] = []
+        """Sentences on frames with its own identifier that the implementation reported at first."""
         self._renewals = 0
         """Number of restarts because identifiers were used up."""
         self._disturbed: dict[str, str] = {}
@@ -143,6 +146,10 @@ class Runner:
                 session.sut_id = node_id_octets(node_id)
             except ValueError as error:
                 raise UpperTesterError(f"{upper.name}: the nodeId of UT-Hello: {error}") from None
+        if "UT-Status" in upper.methods:
+            # UT-Reset may set its counters to zero.
+            with suppress(UpperTesterError):
+                self._ignored += ignored(upper.call("UT-Status", {}).result.get("drops"))
         self._reset()
         known = parameters()
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
@@ -173,13 +180,19 @@ class Runner:
         self._reset()
 
     def contradicted_claims(self, case: Case) -> list[str]:
-        """Listen for some beacons, and return the claims of the PICS that they or the upper tester contradict."""
+        """Listen for some beacons; return claims of the PICS that they contradict, and a sentence on ignored frames.
+
+        Raise :class:`UsageError` if two nodes send with the identifier of the implementation.
+        """
         session = self.session
+        if why := collision(Bench(session, case)):
+            raise UsageError(why)
         bench = Bench(session, case)
         with suppress(UpperTesterError):
             bench.beacons(5, 8)
         about = session.upper.about if session.upper is not None else {}
         found = list(contradictions(session.pics, bench, session.parameters, about))
+        found += self._ignored
         self.remarks += found
         return found
 
@@ -256,7 +269,7 @@ class Runner:
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks, executions=executions)
             if self._reset_mode() != "restart":
-                self._recent.append(_Done(trial, result, self.session.lower.now()))
+                self.remember(trial, result, self.session.lower.now())
             self._refuse(case, trial)
             return result
         result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
@@ -511,8 +524,15 @@ class Runner:
         return msgspec.structs.replace(result, death=trial.loss.group) if died else None
 
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
-        """Remember a case that passed side by side and ended at ``ended`` (ns): it may cause a later death."""
+        """Remember a case that the implementation survived and that ended at ``ended`` (ns).
+
+        It may cause a later death. Its valid frames are not the cause of a death in a later case that also calls
+        services.
+        """
         self._recent.append(_Done(trial, result, ended))
+        sent = (each for each in trial.bench.traffic.events if each.direction == "sent")
+        found = {kinds(self.session.codec, each) for each in sent}
+        self.session.survived |= {each for each in found if each is not None}
 
     def check_life(self, case: Case, during: Sequence[str]) -> str:
         """Check whether the implementation is alive, and restart it if it is not.

@@ -1,4 +1,4 @@
-"""Claims of the PICS and PIXIT that contradict what is heard of the implementation or what it reports."""
+"""Contradictions of the claims of PICS and PIXIT to what is heard of the implementation, or what it reports."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ _PERIOD: Final = "BPPAR_BEACON_PERIOD"
 _INTERVALS: Final = 4
 _FACTOR: Final = 1.6
 _THOUSAND: Final = 1000
+#: End of the reason for ignoring a frame with the own node identifier, in the drops of UT-Status.
+_OWN: Final = "own-beacon"
 
 
 def contradictions(pics: Pics, bench: Bench, parameters: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[str]:
@@ -69,6 +71,21 @@ def _heard(pixit: Testing, bench: Bench) -> Iterator[str]:
         if (claimed := getattr(pixit, key)) is not None and most > claimed:
             what = "a beacon" if key == "max_packet_size" else "a payload of VarDis"
             yield f"pixit.{key} is {claimed}, but {what} of {most} octets is heard"
+
+
+def ignored(drops: object) -> Iterator[str]:
+    """Yield a sentence if the implementation has ignored frames because of its own identifier.
+
+    ``drops``: that member of UT-Status, which has numbers of ignored frames and records by reason.
+    """
+    reasons = drops if isinstance(drops, Mapping) else {}
+    count = sum(number for why, number in reasons.items() if why.endswith(_OWN) and isinstance(number, int))
+    if count:
+        frames = "frame" if count == 1 else "frames"
+        yield (
+            f"the implementation has ignored {count} {frames} with its own node identifier (UT-Status): another node "
+            "on the link uses the same one"
+        )
 
 
 def _period(claimed: float, bench: Bench, reported: object) -> Iterator[str]:

@@ -65,6 +65,8 @@ class Session:
         """Restarts the implementation in its initial state; None if that is not possible."""
         self.switch_link: Callable[[bool], None] | None = None
         """Takes the implementation's link up (True) or down; None if the tester cannot do that."""
+        self.survived: set[frozenset[int]] = set()
+        """The kinds of containers in each valid frame of cases that the implementation has survived."""
         self.next_node = 0
         """The number of the last virtual node."""
         self.next_protocol = 0

@@ -18,9 +18,14 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.reporting.overview import headline, undecided_deaths
 from dcp_conformance.test_steps.beacon_gaps import pausable
+from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer, Notification
 from dcp_selftest.mutants import all_mutants
+from dcp_selftest.variants.variant import node_of
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+
+from dcp_stack.bp.entity import BeaconingProtocol
 
 from ..rig import codec_of, one_case
 
@@ -91,6 +96,11 @@ def says(word: bytes, *, expect: bool = True) -> Callable[[Bench], None]:
     return body
 
 
+def teaches(bench: Bench) -> None:
+    peer = bench.peer()
+    bench.learn(peer, peer.create(bench.var_id()))
+
+
 def asks(bench: Bench) -> None:
     bench.verdicts.check(bench.probes.probe(), "an answer", "none")
 
@@ -112,6 +122,39 @@ def results_of(runner: Runner, *cases: Case) -> dict[str, CaseResult]:
     runner.finish()
     found.update((each.id, each) for each in runner.take_revised())
     return found
+
+
+class EndsBySending(BeaconingProtocol):
+    """Ends when it should send a payload of a client other than SRP and VarDis."""
+
+    _submitted = False
+
+    def transmit_payload(self, prot_id: int, *args: Any, **more: Any) -> Any:
+        self._submitted = self._submitted or prot_id not in (BP_PROTID_SRP, BP_PROTID_VARDIS)
+        return super().transmit_payload(prot_id, *args, **more)
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if self._submitted:
+            raise RuntimeError("a payload of a client")
+        super().handle_timeout(now, wall)
+
+
+def submits_and_asks(bench: Bench) -> None:
+    with talking(bench, clients=1):
+        bench.probes.probe()
+        bench.required(bench.beacons(3), "three beacons")
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_frame_that_was_survived_before_is_not_blamed_instead_of_a_call(known: bool):
+    sut = InProcess(reference_config(codec_of("dcp-2.0")), make=node_of(EndsBySending))
+    runner = runner_of(sut, upper=True)
+    cases = [case_of("TC_X_1", asks), case_of("TC_X_2", teaches)] if known else []
+    found = results_of(runner, *cases, case_of("TC_X_3", submits_and_asks, "BP-HDR-04"))["TC_X_3"]
+    assert found.verdict is Verdict.FAIL
+    blamed = {each for check in found.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert ("VD-ROB-01" in blamed) is not known
+    assert ("BP-TXP-09" in blamed) is known
 
 
 FIRST, SECOND = case_of("TC_DCP_X_BV_01", says(A)), case_of("TC_DCP_X_BV_02", asks)

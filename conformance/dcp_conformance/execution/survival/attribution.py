@@ -8,19 +8,20 @@ of a reaction while the implementation was ending do not count against the requi
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS
 
+from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.results import Check, Table
 from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.traffic import Event, Traffic
+from dcp_conformance.test_system.traffic import Event
 
 from .life import Loss
 from .service_requirements import concerns, violated_by_death
@@ -263,16 +264,30 @@ def survival(trial: Trial) -> tuple[str, ...]:
     return (_SURVIVAL_OF_PAYLOADS,) if BP_PROTID_VARDIS in carried else (_SURVIVAL_OF_FRAMES,)
 
 
-def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
+def kinds(codec: Codec, event: Event) -> frozenset[int] | None:
+    """Return the types of the containers in a valid frame; None for any other frame."""
+    try:
+        beacon = codec.decode(event.frame[event.start :])
+    except DecodeError:
+        return None
+    return frozenset(each.ic_type for payload in beacon.payloads for each in payload.vardis or ())
+
+
+def likely_stimulus(case: Case, bench: Bench) -> Event | None:
     """Find the stimulus that probably ended the implementation, without calls that only restore its state.
+
+    After calls in a case with valid frames, frames of kinds that the implementation has survived before are not the
+    cause.
 
     In a case about services with valid frames, it is the last call, with two exceptions. First, the call was answered
     before a later frame, and a beacon was received in between or the case only uses the service. Second, the case only
     uses the service, the call was never answered, and a frame was sent between the last sign of life and the call.
     Otherwise it is a frame that was sent after the last beacon.
     """
-    events = traffic.events
+    events = bench.traffic.events
     tidying = set(_tidying(case, events))
+    if (call := _call_before_harmless(case, bench, tidying)) is not None:
+        return call
     if case.needs.ut and case.kind is not Kind.INVALID:
         calls = [place for place, each in enumerate(events) if each.direction == "call" and place not in tidying]
         if calls and not _outlived(case, events[calls[-1] :]) and not _dead_before(case, events, calls[-1]):
@@ -287,6 +302,22 @@ def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
         if event.direction == "call" and recent is None and place not in tidying:
             recent = event
     return recent
+
+
+def _call_before_harmless(case: Case, bench: Bench, tidying: Container[int]) -> Event | None:
+    """Return the last call after the last beacon if all frames after that beacon are of kinds survived before."""
+    events, survived = bench.traffic.events, bench.session.survived
+    if case.kind is Kind.INVALID or case.robustness or case.destructive:
+        return None
+    last = max((place for place, each in enumerate(events) if each.direction == "heard"), default=-1)
+    later = [(place, each) for place, each in enumerate(events) if place > last]
+    calls = [
+        each
+        for place, each in later
+        if each.direction == "call" and place not in tidying and not _PREPARES.search(each.text)
+    ]
+    frames = [each for _, each in later if each.direction == "sent"]
+    return calls[-1] if calls and frames and all(kinds(bench.codec, each) in survived for each in frames) else None
 
 
 def _outlived(case: Case, events: Sequence[Event]) -> bool:

@@ -31,7 +31,7 @@ from dcp_conformance.stateful.steps import Step
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_conformance.test_system.bench import Bench
 
-from .live import LiveTarget
+from .live import LiveTarget, NotAliveError
 
 
 class ModelTarget:
@@ -80,6 +80,11 @@ def run_search(
         opened.runner.prepare()
         say_contradictions(opened.runner, functools.partial(say, err=True))
         live = LiveTarget(opened)
+        try:
+            live.prepare()
+        except NotAliveError as error:
+            say(f"dcp-conformance: {error}", err=True)
+            return 3
         found = _live(live, sequences=sequences, steps=steps, seed=where.seed, database=database)
         return _told(found, opened.codec.profile.name, live.name, words, where.seed, coverage, directory)
 

@@ -32,6 +32,8 @@ class Station(Place):
         self._command = command
         self._upper_spec = upper
         self._upper: Reconnecting | None = None
+        self.node_id = ""
+        """The node identifier that its upper tester reports; empty if it reports none."""
         #: Methods that the running process did not answer.
         self._unanswered: set[str] = set()
 
@@ -54,6 +56,8 @@ class Station(Place):
         except UpperTesterError:
             return False
         self.methods = self._upper.methods
+        node_id = self._upper.about.get("nodeId", "")
+        self.node_id = node_id if isinstance(node_id, str) else ""
         return True
 
     def call(self, method: str, params: Mapping[str, Any]) -> Answer | None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from dcp_codec.errors import DecodeError
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.impairment import PERFECT, Impairment
 from dcp_codec.network.namespaces import NamespaceError, entered
@@ -109,7 +110,7 @@ class RealWorld:
             )
             values = {
                 "interface": INTERFACE,
-                "node_id": place.node_id.decode() if b":" in place.node_id else place.node_id.hex(":"),
+                "node_id": _told(place.node_id),
                 "network_id": str(network),
                 "profile": profile,
                 "control": str(self._directory / f"{place.number}.sock"),
@@ -148,11 +149,11 @@ class RealWorld:
             waiting = {each: each.awaited(heard=each.place in self._heard) for each in self._pending}
             self._pending = [each for each, missing in waiting.items() if missing]
             if not self._pending:
+                self._refuse_other_identifiers()
                 break
             waited = time.monotonic() - begin
             if waited > max(each.ready_s for each in self._pending):
                 self._give_up(waiting)
-                break
             if waited > _QUIET and not told and self._on_wait is not None:
                 told = True
                 self._on_wait(f"waiting for {self._missing(waiting)}")
@@ -160,12 +161,33 @@ class RealWorld:
         self._paused += round((time.monotonic() - begin) * 1e9)
 
     def _give_up(self, waiting: Mapping[Station, str]) -> None:
-        """Continue with silent stations, which the test then judges; raise for silent upper testers."""
-        silent = {each: missing for each, missing in waiting.items() if missing and each.methods is None}
+        """Raise for stations that are absent: nothing can be judged. They do not even listen."""
         self._pending = []
-        if silent:
-            longest = max(each.ready_s for each in silent)
-            raise ConformanceError(f"not ready within {longest:g} s: {self._missing(silent)}")
+        longest = max(each.ready_s for each, missing in waiting.items() if missing)
+        raise ConformanceError(f"not ready within {longest:g} s: {self._missing(waiting)}")
+
+    def _refuse_other_identifiers(self) -> None:
+        """Raise if the upper tester of a station reports another node identifier than the station was given."""
+        for each in self._stations:
+            if each.on and each.node_id and not _same(each.node_id, self.places[each.place].node_id):
+                self._refuse(each.place, each.node_id)
+
+    def _refuse(self, number: int, uses: str) -> None:
+        place = self.places[number]
+        raise ConformanceError(
+            f"place {number} ({place.implementation}) uses the node identifier {uses} instead of "
+            f"{_told(place.node_id)}: its command must take {{node_id}}"
+        )
+
+    def _refuse_collision(self, number: int, octets: bytes) -> None:
+        """Raise if the first beacon of a station has the identifier of another one."""
+        try:
+            beacon = self.places[number].codec.decode(octets)
+        except DecodeError:
+            return
+        sender = beacon.bp.sender_id if beacon.bp is not None else None
+        if sender is not None and any(sender == each.node_id for each in self.places if each.number != number):
+            self._refuse(number, _told(sender))
 
     def _missing(self, waiting: Mapping[Station, str]) -> str:
         told = [f"place {s.place} ({self.places[s.place].implementation}): {why}" for s, why in waiting.items() if why]
@@ -181,7 +203,10 @@ class RealWorld:
             moment = now + (each.wall - wall) if each.wall else self.now
             self._held = max(self._held, self.now - moment)
             last = self._sent[-1].time if self._sent else 0
-            self._sent.append(Sent(max(moment, last), each.place, each.frame[framing.start : framing.end]))
+            octets = each.frame[framing.start : framing.end]
+            if each.place not in self._heard:
+                self._refuse_collision(each.place, octets)
+            self._sent.append(Sent(max(moment, last), each.place, octets))
             self._heard.add(each.place)
 
     @property
@@ -296,3 +321,12 @@ class RealWorld:
     def close(self) -> None:
         """End everything and remove it."""
         self._closing.close()
+
+
+def _told(node_id: bytes) -> str:
+    """Return a node identifier as text; identifiers of variable length are text already."""
+    return node_id.decode() if b":" in node_id else node_id.hex(":")
+
+
+def _same(told: str, node_id: bytes) -> bool:
+    return told.replace(":", "").lower() == _told(node_id).replace(":", "").lower()

@@ -122,6 +122,22 @@ inserts("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted",
 # fmt: on
 
 
+@mutant(
+    "counters-kept",
+    "VD-PC-07",
+    "keeps countUpdate and countDelete of a variable when a later VarCreate replaces it",
+    unseen=NOT_REPLACED,
+)
+class CountersKept(Database):
+    def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
+        before = self.lookup(spec.var_id)
+        entry = super().insert(spec, value, seqno, now=now, wall=wall)
+        # Only RTDB-Create uses sequence number 0 here; the cases send others.
+        if before is not None and seqno:
+            entry.count_update, entry.count_delete = before.count_update, before.count_delete
+        return entry
+
+
 @mutant("request-kept", "VD-PU-08", "requests an update that it has received")
 class RequestKept(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:

@@ -31,6 +31,7 @@ from dcp_conformance.test_steps.services import (
 )
 from dcp_conformance.test_steps.variable_queries import stepped, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sending.peers import Peer
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SERVICES = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-DescribeVariable")
@@ -204,3 +205,32 @@ def counters(bench: Bench, name: str) -> None:
     bench.proved(right, f"{name} {least} to {count}", f"{number}")
     others = {each: entry.get(each) for each in _COUNTERS if each != name}
     bench.every(others.values(), lambda each: each == 0, "0 in the other counters", seen=f"{others}")
+
+
+@case(
+    "TC_VD_DVA_BV_04",
+    "A later VarCreate of a known variable resets the counters of what was being repeated ({variant})",
+    requirements="VD-PC-07",
+    stimulus="a variable of another node with the most repetitions: its {variant}, then a later VarCreate of it",
+    expect="the entry of the second VarCreate, with countUpdate and countDelete 0",
+    window=10,
+    variants={
+        "VarUpdate": lambda peer, var_id: peer.update(var_id, seqno=2),
+        "VarDelete": lambda peer, var_id: peer.delete(var_id),
+    },
+    needs=Needs(since=V2_0, ut=("RTDB-DescribeVariable",), when=several_repetitions),
+)
+def counters_anew(bench: Bench, pending: Callable[[Peer, int], Any]) -> None:
+    peer, var_id, count = bench.peer(), bench.var_id(), max_repetitions(bench)
+    first = peer.create(var_id, seqno=1, rep_cnt=count)
+    bench.learn(peer, first)
+    assert first.spec.creation_time is not None
+    second = peer.create(var_id, seqno=9, rep_cnt=count, creation_time=first.spec.creation_time + 1)
+    bench.records.creation_time()
+    peer.send(pending(peer, var_id))
+    peer.send(second)
+    forwarded = bench.until(lambda heard: any(each.record == second for each in heard.instructions(_CREATE, var_id)))
+    bench.required(forwarded, "the second VarCreate is forwarded")
+    entry = entry_of(bench, var_id) or {}
+    counts = {each: entry.get(each) for each in ("countUpdate", "countDelete")}
+    bench.every(counts.values(), lambda each: each == 0, "0 in countUpdate and countDelete", seen=f"{counts}")
