@@ -1,4 +1,4 @@
-"""What the model alone finds in the described faults, as Markdown."""
+"""Results of the model alone for the described faults, as Markdown."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def section(results: Sequence[Searched], sequences: int, seed: int) -> str:
         "",
         "An adversary's trial of the suite described these faults; no case noticed most of them at that time. Here no",
         "case is executed, but only the sequences of a run (`run`), and, if these show nothing, newly drawn ones",
-        f"(`search`, up to {sequences:,}). *Steps* is the length of the counterexample after steps that it does not",
-        "need were left out, *seconds* the processor time with that of making it shorter.",
+        f"(`search`, up to {sequences:,}). *Steps* is the length of the counterexample without steps that are not",
+        "needed, *seconds* the processor time with that of making it shorter.",
         "",
         f"{len(found)} of {len(results)} are found, {by_run} by the sequences of a run. The counterexample names a",
         f"violated requirement in {named}. Median length: {median(each.steps for each in found):g} steps."

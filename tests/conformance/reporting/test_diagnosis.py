@@ -413,6 +413,6 @@ def test_a_fault_of_which_few_cases_were_decided_is_not_named_before_one_of_whic
 
 
 def test_a_fault_that_prevents_most_cases_is_not_probable_by_a_few() -> None:
-    """A node that discards every beacon was said to end a loop too early."""
+    """A node that discards every beacon was reported to end a loop too early."""
     (found,) = explain(results("abcd"), Dictionary((fault("wide", *"abcdefghijklm"),))).faults
     assert (found.expected, found.signature, found.likely) == (4, 13, False)
