@@ -65,11 +65,14 @@ class Records:
 
     def creation_time(self) -> int:
         """Return a time stamp for a record: the current time, and later than any returned before."""
+        self._run.creation_time = max(self._run.creation_time + 1, self.current_time())
+        return self._run.creation_time
+
+    def current_time(self, hours: int = 0) -> int:
+        """Return the current time, or that many hours later, in ticks of the profile's clock; at least 0."""
         stamp = self._sut.profile.types.timestamp
         since = self._clock.now() if stamp.epoch_ns is None else self._clock.wall() - stamp.epoch_ns
-        ticks = since * stamp.per_second // 1_000_000_000
-        self._run.creation_time = max(self._run.creation_time + 1, ticks)
-        return self._run.creation_time
+        return max((since + hours * 3_600_000_000_000) * stamp.per_second // 1_000_000_000, 0)
 
     def value(self, wanted: bytes) -> bytes:
         """Return ``wanted``, or shorter octets if the maximum is smaller; different values remain different."""

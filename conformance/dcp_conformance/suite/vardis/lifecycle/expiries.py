@@ -98,10 +98,6 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
     check_time(bench, found, since, timeout_ms)
 
 
-def _hour(bench: Bench) -> int:
-    return 3600 * bench.profile.types.timestamp.per_second
-
-
 @case(
     "TC_VD_SCR_TI_25",
     "The timeout of a received variable begins with its reception, whatever its creationTime ({variant})",
@@ -114,7 +110,7 @@ def _hour(bench: Bench) -> int:
 )
 def since_reception(bench: Bench, hours: int) -> None:
     timeout_ms, peer, name = lasting(bench, _LONG), bench.peer(), bench.var_id()
-    stamp = max(bench.records.creation_time() + hours * _hour(bench), 0)
+    stamp = bench.records.current_time(hours)
     since = sent(bench, peer, peer.create(name, timeout=timeout_ms, creation_time=stamp))
     if bench.until_instruction(_CREATE, name) is None:
         bench.inconclusive("a forwarded VarCreate of a variable with a timeout", "none in time")

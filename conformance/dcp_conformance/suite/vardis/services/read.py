@@ -107,8 +107,7 @@ def foreign(bench: Bench) -> None:
     variants={"an-hour-ago": -1, "in-an-hour": 1},
 )
 def time_of_reception(bench: Bench, hours: int) -> None:
-    second = bench.profile.types.timestamp.per_second
-    stamp = max(bench.records.creation_time() + hours * 3600 * second, 0)
+    stamp = bench.records.current_time(hours)
     own = produced(bench, value=b"own")
     var_id = teach_variable(bench, bench.peer(), value=b"first", creation_time=stamp)
     here = _read(bench, own, bench.records.value(b"own")).get("tStamp")
