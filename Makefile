@@ -129,8 +129,9 @@ matrix: $(STAMP)
 # draws of random changes of the node, and the test vectors.
 selftest-doc: $(STAMP)
 	$(BIN)/dcp-selftest mutants --document docs/selftest.md
+	$(BIN)/dcp-selftest model --described --shrink --sequences 1500 --document docs/selftest.md
 	$(BIN)/dcp-selftest variants --document docs/selftest.md
-	$(BIN)/dcp-selftest generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
+	$(BIN)/dcp-selftest generated 200 --seed 701 --seed 702 --seed 703 --document docs/selftest.md
 	$(BIN)/dcp-selftest vectors --document docs/selftest.md
 
 $(STAMP) $(DEMO): pyproject.toml selftest/pyproject.toml

@@ -92,6 +92,7 @@ def test_a_counterexample_of_a_run_is_made_shorter() -> None:
 
 def test_the_described_faults_make_a_section_of_the_document() -> None:
     assert [each.id for each in described()] == list(DESCRIBED)
+    assert {each.about for each in described()} == {"bp", "srp", "vardis"}
     one, two, three = (Fault(each, "dcp-2.0") for each in DESCRIBED[:3])
     text = section(
         [

@@ -123,7 +123,7 @@ class BPModel:
         """Times of beacons with the present period, ns."""
         self._pace_from = -(1 << 62)
         self._foretold: int | None = None
-        """Time of the next beacon as the last notification states it, ns of the tester; None without one."""
+        """Time of the next beacon as the last notification states it, ns of the tester; None if unknown."""
         self._early: list[int] = []
         """How much earlier than foretold the last beacons came, ns."""
         self.deliveries: list[Delivery] = []

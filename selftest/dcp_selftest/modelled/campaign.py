@@ -6,6 +6,7 @@ import gc
 import time
 from collections.abc import Generator, Sequence
 from functools import partial
+from typing import Final
 
 import msgspec
 from dcp_conformance.stateful.corpus import corpus
@@ -17,7 +18,14 @@ from dcp_conformance.stateful.virtual import VirtualExecutor
 
 from dcp_codec.common.workers import completed
 
-from .faults import Fault
+from .faults import LONG, Fault
+
+#: By protocol: what new sequences are about.
+_THEMES: Final = {
+    "srp": ("neighbours",),
+    "bp": ("registrations", "inactivity", "sizes", "reception", "everything"),
+    "vardis": ("services", "dissemination", "timeouts", "limits", "crowds", "variable", "own-variable", "everything"),
+}
 
 
 class Searched(msgspec.Struct, frozen=True):
@@ -37,10 +45,8 @@ class Searched(msgspec.Struct, frozen=True):
     """The counterexample as a table."""
 
 
-def searched(
-    fault: Fault, *, sequences: int, seed: int, shrink: bool, machine: type[NodeMachine] = NodeMachine
-) -> Searched:
-    """Search one faulty node. ``machine`` draws the new sequences."""
+def searched(fault: Fault, *, sequences: int, seed: int, shrink: bool) -> Searched:
+    """Search one faulty node."""
     config, make = fault.config(), fault.make()
     began = time.process_time()
 
@@ -58,7 +64,7 @@ def searched(
                 found = shorter(execute, found, attempts=len(found.steps))
             seconds = time.process_time() - began
             return Searched(fault, "run", found.finding.requirements, len(found.steps), number, seconds, str(found))
-    if not sequences:
+    if not sequences or fault.id in LONG:
         return Searched(fault, "", seconds=time.process_time() - began)
     result = search(
         lambda: VirtualExecutor(config, make=make),
@@ -66,7 +72,7 @@ def searched(
         steps=10,
         seed=seed,
         shrink=shrink,
-        machine=machine,
+        machine=type("Machine", (NodeMachine,), {"themes": _THEMES[fault.about]}) if fault.about else NodeMachine,
     )
     seconds = time.process_time() - began
     gc.collect()

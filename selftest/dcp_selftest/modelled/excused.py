@@ -21,12 +21,6 @@ if TYPE_CHECKING:
 
 #: Changes of SRP are also tried with a neighbour table that sequences can fill.
 _ROOM: Final = 2
-#: By the first part of the name of a module: what sequences are about that execute its code.
-_THEMES: Final = {
-    "srp": ("neighbours",),
-    "bp": ("registrations", "inactivity", "sizes", "reception", "everything"),
-    "vardis": ("services", "dissemination", "timeouts", "limits", "crowds", "variable", "own-variable", "everything"),
-}
 #: CPU seconds for the sequences of a run, and for each drawn one: many times what they take.
 _SECONDS, _EACH = 30, 0.3
 
@@ -64,15 +58,13 @@ def _in_process(context: ForkServerContext, site: Site, *, sequences: int, seed:
 def _searched(site: Site, sequences: int, seed: int) -> bytes:
     limit(int(_SECONDS + _EACH * sequences))
     import_changed(f"dcp_stack.{site.module}", compile(mutated(site), f"<changed {site.module}.py>", "exec"))
-    from dcp_conformance.stateful.machine import NodeMachine
-
     from .campaign import searched
     from .faults import Fault
 
-    fault, part = Fault(f"change {site.key}", PROFILES[0]), site.module.partition(".")[0]
-    machine = type("Machine", (NodeMachine,), {"themes": _THEMES[part]}) if part in _THEMES else NodeMachine
-    found = searched(fault, sequences=sequences, seed=seed, shrink=True, machine=machine)
-    if not found.by and part == "srp":
+    about = site.module.partition(".")[0]
+    fault = Fault(f"change {site.key}", PROFILES[0], about)
+    found = searched(fault, sequences=sequences, seed=seed, shrink=True)
+    if not found.by and about == "srp":
         fault = msgspec.structs.replace(fault, neighbours=_ROOM)
-        found = searched(fault, sequences=sequences, seed=seed, shrink=True, machine=machine)
+        found = searched(fault, sequences=sequences, seed=seed, shrink=True)
     return msgspec.json.encode(found)

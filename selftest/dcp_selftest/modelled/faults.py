@@ -50,6 +50,9 @@ DESCRIBED: Final = (
     "M-VD-PC-08-pending-update-left", "M-VD-CRE-05-long-refused", "M-VD-PC-04-long-ignored",
     "M-VD-PC-05-long-description-ignored", "M-VD-ROB-01-faulty-sender-ignored", "M-VD-SCR-03-consumer-double",
 )  # fmt: skip
+_PROTOCOLS: Final = {"BP": "bp", "SRP": "srp", "VD": "vardis"}
+#: Those that no sequence of a search can show: a counter wraps after 65,536 steps.
+LONG: Final = frozenset({"M-BP-HDR-08-sixteen-bits", "M-SRP-SEQ-01-sixteen-bits"})
 
 
 class Fault(msgspec.Struct, frozen=True):
@@ -57,6 +60,8 @@ class Fault(msgspec.Struct, frozen=True):
 
     id: str
     profile: str
+    about: str = ""
+    """The protocol whose themes a search draws: ``bp``, ``srp`` or ``vardis``; empty for all themes."""
     neighbours: int | None = None
     """Room of the neighbour table, as the profile states it; None: that of the node, which no sequence fills."""
 
@@ -87,9 +92,10 @@ def mutants(chosen: tuple[str, ...] = ()) -> Iterator[Fault]:
 
 
 def described() -> Iterator[Fault]:
-    """Yield the faults of :data:`DESCRIBED`."""
+    """Yield the faults of :data:`DESCRIBED`, for a search with the themes of their protocols."""
     for each in DESCRIBED:
-        yield Fault(each, all_mutants()[each].profile)
+        mutant = all_mutants()[each]
+        yield Fault(each, mutant.profile, _PROTOCOLS[mutant.requirement.partition("-")[0]])
 
 
 def cells(profile: str) -> Iterator[Fault]:

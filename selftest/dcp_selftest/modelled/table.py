@@ -1,4 +1,4 @@
-"""Results of the model alone for the described faults, as Markdown."""
+"""The table of the described faults and their counterexamples, as Markdown."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from dcp_spec.markdown import table
 from dcp_selftest.mutants import all_mutants
 
 from .campaign import Searched
-from .faults import DESCRIBED
+from .faults import DESCRIBED, LONG
 
-#: Faults that no sequence of a search can show: a counter wraps after 65,536 steps.
-_LONG = ("M-BP-HDR-08-sixteen-bits", "M-SRP-SEQ-01-sixteen-bits")
 _HEADINGS = ("mutant", "the node ...", "violates", "found by", "named", "steps", "seconds")
 
 
@@ -30,8 +28,8 @@ def section(results: Sequence[Searched], sequences: int, seed: int) -> str:
         "",
         "An adversary's trial of the suite described these faults; no case noticed most of them at that time. Here no",
         "case is executed, but only the sequences of a run (`run`), and, if these show nothing, newly drawn ones",
-        f"(`search`, up to {sequences:,}). *Steps* is the length of the counterexample without steps that are not",
-        "needed, *seconds* the processor time with that of making it shorter.",
+        f"(`search`, up to {sequences:,} about the protocol of the fault). *Steps* is the length of the shortened",
+        "counterexample, *seconds* the processor time with that of shortening it.",
         "",
         f"{len(found)} of {len(results)} are found, {by_run} by the sequences of a run. The counterexample names a",
         f"violated requirement in {named}. Median length: {median(each.steps for each in found):g} steps."
@@ -47,7 +45,7 @@ def _rows(results: Sequence[Searched]) -> Iterator[tuple[object, ...]]:
     order = {name: number for number, name in enumerate(DESCRIBED)}
     for each in sorted(results, key=lambda each: order[each.fault.id]):
         mutant = all_mutants()[each.fault.id]
-        by = each.by or ("`run --plan long`" if mutant.id in _LONG else "-")
+        by = each.by or ("`run --plan long`" if mutant.id in LONG else "-")
         named = (", ".join(each.requirements) or "-") + ("" if not each.by or _is_named(each) else " (another)")
         row = f"`{mutant.id}`", mutant.what, ", ".join(mutant.requirements), by, named
         yield *row, each.steps or "-", f"{each.seconds:.1f}"
