@@ -363,3 +363,22 @@ def number_of_a_request(bench: Bench) -> None:
     found = bench.required(bench.instructions(kind, var_id, start), "a VarReqUpdate for the variable", "VD-PS-04")
     numbers = [getattr(each.record, "seqno", None) for each in found]
     bench.answered(numbers[-1], 7, "seqno of the VarReqUpdate", frames=found)
+
+
+@case(
+    "TC_VD_PEND_BV_12",
+    "A summary with the stored sequence number does not withdraw a request for a newer one",
+    requirements="VD-PS-02 VD-PS-04 VD-CMP-11",
+    stimulus="a newer summary of a neighbour and, immediately after it, a summary of another with the stored number",
+    expect="a VarReqUpdate for the variable",
+    window=8,
+)
+def request_not_withdrawn(bench: Bench) -> None:
+    peer, other = bench.peer(), bench.peer()
+    var_id = teach_variable(bench, peer, seqno=5)
+    start = bench.mark()
+    peer.send(peer.summary(var_id, 9))
+    other.send(other.summary(var_id, 5))
+    bench.until_instruction(ICType.REQUEST_VARUPDATES, var_id)
+    found = bench.instructions(ICType.REQUEST_VARUPDATES, var_id, start)
+    bench.some(found, "a VarReqUpdate for the variable")

@@ -121,6 +121,32 @@ def since_reception(bench: Bench, hours: int) -> None:
     check_time(bench, found, since, timeout_ms)
 
 
+@case(
+    "TC_VD_SCR_TI_26",
+    "Creations of other variables do not postpone scrubbing",
+    requirements="VD-SCR-01 VD-SCR-04",
+    stimulus="RTDB-Create with a short timeout; then RTDB-Create of another variable, three times per scrubbing period",
+    expect="the first VarDelete of the first variable in time",
+    window=60,
+    needs=Needs(SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def not_postponed(bench: Bench) -> None:
+    period_ms = shorten_scrubbing(bench)
+    timeout_ms, other = lasting(bench, 200), bench.identifiers.own_var_id()
+    name = bench.identifiers.own_var_id()
+    since = create_own(bench, name, timeout_ms)
+    # Twice as long as allowed, so that a node that waits for the last creation is late in any case.
+    end = since.after + 2 * latest(bench, timeout_ms)
+    while bench.now() < end and not bench.instructions(_DELETE, name):
+        bench.call("RTDB-Create", **create_request(bench, other))
+        bench.waiting.wait_ns(period_ms * MS // 3)
+    found = next(iter(bench.instructions(_DELETE, name)), None)
+    if found is None:
+        bench.some(None, "a VarDelete of the variable", seen=f"none in {2 * latest(bench, timeout_ms) / MS:.0f} ms")
+        return
+    check_time(bench, found, since, timeout_ms)
+
+
 def _holds(count: int) -> Callable[[Bench], str | None]:
     return lambda bench: bench.sut.lacks("variables", count + 2 * _OTHERS) or None
 
