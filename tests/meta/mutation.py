@@ -48,6 +48,8 @@ def hit(numbers):
 LONGEST = 1500.0
 #: CPU seconds of the tests that are tried with each change alone.
 CHEAP = 40.0
+#: CPU seconds after which a process of tests that are chosen is ended.
+_ENDLESS = 400
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,8 @@ class Clone:
         files = sorted({each.partition("::")[0] for each in items})
         command = [".venv/bin/pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "mutation", f"--only={listed}"]
         command += [f"--part={part}" for part in parts]
-        status, output = self.run(["env", "PYTHONPATH=tests/meta", *command, *files])
+        # A change may make a loop endless.
+        status, output = self.run(["env", "PYTHONPATH=tests/meta", "prlimit", f"--cpu={_ENDLESS}", *command, *files])
         if status in (0, 5):
             return ""
         failed = _failures(output)
@@ -294,19 +297,27 @@ class Judge:
             print(f"{len(apart)} of {len(changes)} changes together", flush=True)
             clone = self._clones.get()
             with clone.changed(*apart):
-                failed = clone.failures(*parts)
+                failed = sorted(clone.failures(*parts), key=lambda item: self._reached.costs.get(item, 0.0))
+            self._halve(clone, apart, failed, verdict, *parts)
             self._clones.put(clone)
-            unknown = failed - {item for items in self._reached.tests.values() for item in items}
-
-            def attempt(clone: Clone, change: Change, failed: set[str] = failed, unknown: set[str] = unknown) -> str:
-                items = [item for item in self._reached.of(change) if item in failed]
-                return clone.noticed_by([*items, *sorted(unknown)], *parts)
-
-            self._each(verdict, attempt, apart if failed else [])
             noticed = len(apart) - len(self.left(apart))
             if not noticed and len(apart) == len(changes):
                 return
             changes = self.left(changes) if noticed else [each for each in changes if each not in apart]
+
+    def _halve(self, clone: Clone, changes: list[Change], items: list[str], verdict: str, *parts: str) -> None:
+        """Store the changes with which one of the items fails: all together, then each half of them, and so on."""
+        with clone.changed(*changes):
+            found = clone.noticed_by(items, *parts)
+        print(f"  {len(changes)} changes, {len(items)} items: {found or 'none fails'}", flush=True)
+        if not found:
+            return
+        if len(changes) == 1:
+            self.store(changes[0], verdict, found)
+            return
+        half = len(changes) // 2
+        for some in (changes[:half], changes[half:]):
+            self._halve(clone, some, items, verdict, *parts)
 
     def _each(self, verdict: str, attempt: Callable[[Clone, Change], str], changes: list[Change]) -> None:
         """Try each change alone, several at a time; store those that are noticed."""
