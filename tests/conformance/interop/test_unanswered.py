@@ -45,7 +45,7 @@ def test_a_method_without_an_answer_is_called_once(tmp_path: Path) -> None:
     assert upper.called == ["RTDB-Read", "RTDB-Update"]
 
 
-def test_long_cells_start_first(monkeypatch) -> None:
+def test_the_short_selection_starts_first_and_long_cells_before_short_ones(monkeypatch) -> None:
     node, started = built_in("node:dcp-2.0"), []
 
     def executed(cells, *_):
@@ -55,7 +55,7 @@ def test_long_cells_start_first(monkeypatch) -> None:
     monkeypatch.setattr(matrix, "_executed", executed)
     tests = [name for name, test in all_tests().items() if test.shape.name == "pair"]
     matrix.run_matrix([Cell(a="a", b="b", test=name, implementations=(node, node)) for name in tests])
-    longest = [all_tests()[name].longest_s for name in started]
-    assert started[0] == "IT_VD_LOSS-pair-50"
-    assert longest == sorted(longest, reverse=True)
+    order = [(not all_tests()[name].short, -all_tests()[name].longest_s) for name in started]
+    assert order == sorted(order)
+    assert {short for short, _ in order} == {False, True}
     assert sorted(started) != started
