@@ -260,10 +260,10 @@ def cpp() -> list[str]:
         "",
         table(_CPP_HEAD, _CPP),
         "",
-        "No finding is false. The six states of b_crud are not a failure, because nothing proves that the nodes",
-        "received the updates; the missing answers in c_latejoin are none, because links that fail could explain",
-        "them. Byte order and padding of releases 1.3 and 2.0 (DATA-01, DATA-02) and the test pattern of release",
-        "1.2 (SRP-FMT-01) fail; the profiles declare them.",
+        "No finding is false. The six states of b_crud are only observed, because nothing proves that the nodes",
+        "received the updates; the missing answers in c_latejoin are inconclusive, because links that fail could",
+        "explain them. Byte order and padding of releases 1.3 and 2.0 (DATA-01, DATA-02) and the test pattern of",
+        "release 1.2 (SRP-FMT-01) fail; the profiles declare them.",
         "",
     ]
 

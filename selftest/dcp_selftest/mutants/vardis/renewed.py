@@ -6,7 +6,7 @@ from typing import Any
 
 from dcp_codec.values import VarCreate, VarSumm, VarUpdate
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES
+from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_ANEW
 from dcp_stack.vardis.database import Database, DBEntry
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
@@ -64,7 +64,10 @@ class ReadCreationTime(OldCreation):
 
 
 @mutant(
-    "rest-of-deletions", "VD-DEL-05 VD-CRE-10", "sends only the VarDeletes left from the first deletion after another"
+    "rest-of-deletions",
+    "VD-DEL-05 VD-CRE-10",
+    "sends only the VarDeletes left from the first deletion after another",
+    unseen=NOT_ANEW,
 )
 class RestOfDeletions(Database):
     def insert(self, spec: Any, *args: Any, **kwargs: Any) -> Any:
