@@ -220,7 +220,7 @@ def counters(bench: Bench, name: str) -> None:
     },
     needs=Needs(since=V2_0, ut=("RTDB-DescribeVariable",), when=several_repetitions),
 )
-def counters_anew(bench: Bench, pending: Callable[[Peer, int], Any]) -> None:
+def counters_reset(bench: Bench, pending: Callable[[Peer, int], Any]) -> None:
     peer, var_id, count = bench.peer(), bench.var_id(), max_repetitions(bench)
     first = peer.create(var_id, seqno=1, rep_cnt=count)
     bench.learn(peer, first)
