@@ -23,6 +23,10 @@ class NoAnswerError(UpperTesterError):
     """A request was not answered in time by the SUT or the upper tester."""
 
 
+class NoListenerError(UpperTesterError):
+    """No process listens at the address of the upper tester."""
+
+
 class CouldNotAskError(UpperTesterError):
     """The upper tester cannot make this request; this allows no conclusion about the SUT."""
 

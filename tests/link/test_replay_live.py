@@ -24,17 +24,20 @@ def command(capsys) -> Command:
     return Command(capsys, main)
 
 
-def udp_with(node_id: str, program: str = "dcp_stack.cli run") -> tuple[object, ...]:
-    """Return options that start a node, without an upper tester, on a UDP link of its own."""
+def udp_with(
+    node_id: str, program: str = "dcp_stack.cli run", *, profile: str = "cpp-2.0", control: Path | None = None
+) -> tuple[object, ...]:
+    """Return options that start a node on a UDP link of its own; ``control``: the socket of its upper tester."""
     link = f"udp:{DEFAULT_GROUP}:{free_port()}"
-    node = f"{sys.executable} -m {program} --link {link} --node-id {node_id} --profile cpp-2.0"
-    return "--link", link, "--profile", "cpp-2.0", "--start", node
+    node = f"{sys.executable} -m {program} --link {link} --node-id {node_id} --profile {profile}"
+    options = ("--link", link, "--profile", profile, "--start")
+    return (*options, node) if control is None else (*options, f"{node} --control {control}", "--ut", f"unix:{control}")
 
 
-def replayed(command: Command, *words: object) -> Result:
+def replayed(command: Command, *words: object, capture: str = "c_latejoin.mcap") -> Result:
     """Replay a recording until the verdict is not inconclusive (exit status 3)."""
     for speed in SPEEDS:
-        done = command("replay", CAPTURES / "c_latejoin.mcap", "--speed", speed, *words)
+        done = command("replay", CAPTURES / capture, "--speed", speed, *words)
         if done.status != 3:
             break
     return done
@@ -51,6 +54,24 @@ def test_our_node_passes_over_ethernet(command, node):
 
 def test_our_node_passes_over_udp_without_an_upper_tester(command):
     done = replayed(command, *udp_with(LAST))
+    assert done.status == 0, done.out + done.err
+
+
+RECORDINGS = [
+    ("a_bus3.mcap", "cpp-2.0"),
+    ("a_bus3_v1.3.6.mcap", "cpp-1.3"),
+    ("b_crud.mcap", "cpp-2.0"),
+    ("c_latejoin.mcap", "cpp-2.0"),
+]
+
+
+@pytest.mark.parametrize(("capture", "profile"), RECORDINGS)
+@pytest.mark.parametrize("link", ["ethernet", "udp"])
+def test_our_node_passes_every_recording(command, tmp_path, capture, profile, link):
+    if link == "ethernet":
+        ethernet_or_skip()
+    words = () if link == "ethernet" else ("--node", FIRST, *udp_with(FIRST, profile=profile, control=tmp_path / "n"))
+    done = replayed(command, *words, capture=capture)
     assert done.status == 0, done.out + done.err
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from dcp_spec.profile.definition import Profile
@@ -14,7 +16,7 @@ from dcp_spec.profile.usability import refusal
 
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
-from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
+from dcp_conformance.errors import ConformanceError, NoListenerError, UpperTesterError, UsageError
 from dcp_conformance.impaired_link import impaired, parse_directions
 from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.model.case import cases_of
@@ -22,9 +24,13 @@ from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.upper_tester import UpperTester
+from dcp_conformance.upper_tester import Reconnecting, UpperTester
 
 from .runner import Runner
+from .survival.life import START_PATIENCE
+
+if TYPE_CHECKING:
+    from dcp_conformance.sut.process import ProcessControl
 
 #: Beacon period in ms of the reference node in a process: short, because all waits are multiples of it, and no other
 #: node is on its link.
@@ -262,21 +268,31 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             )
     upper = None
     if options.ut is not None:
-        from dcp_conformance.upper_tester.opening import open_upper
         from dcp_conformance.upper_tester.stream import StreamUpperTester
 
-        try:
-            upper = open_upper(options.ut, _patience(pics), starting=process is not None)
-        except UpperTesterError as error:
-            if process is not None and process.alive() is False:
-                # The upper tester cannot be reached because the process is dead: report that instead.
-                raise ConformanceError(f"--start: {process.why_dead()}") from error
-            raise
+        upper = _open_upper(options, options.ut, pics, process)
         if process is not None:
             process.after_restart.append(upper.reconnect)
             if isinstance(upper, StreamUpperTester):
                 upper.gone = lambda: process.alive() is False
     return _session(options, codec, pics, lower, upper), control, []
+
+
+def _open_upper(options: TargetOptions, spec: str, pics: Pics, process: ProcessControl | None) -> Reconnecting:
+    """Open the upper tester; an implementation that the tester has started gets the time that a start may take."""
+    from dcp_conformance.upper_tester.opening import open_upper
+
+    deadline = time.monotonic() + (options.start_timeout or START_PATIENCE)
+    while True:
+        try:
+            return open_upper(spec, _patience(pics), starting=process is not None)
+        except UpperTesterError as error:
+            if process is not None and process.alive() is False:
+                # The upper tester cannot be reached because the process is dead: report that instead.
+                raise ConformanceError(f"--start: {process.why_dead()}") from error
+            started = process is not None and options.start and isinstance(error, NoListenerError)
+            if not started or time.monotonic() >= deadline:
+                raise
 
 
 def _node_on_link(session: Session) -> str:

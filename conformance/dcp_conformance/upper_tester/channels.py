@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from dcp_codec.common.child import LastLines, end_group, ending
 from dcp_codec.common.lines import LineBuffer, LineTooLongError
-from dcp_conformance.errors import UpperTesterError, UsageError
+from dcp_conformance.errors import NoListenerError, UpperTesterError, UsageError
 
 #: Octets of the longest line that is taken: the contract allows 16 MiB for the answer to a batch.
 LONGEST_LINE = 16 * 1024 * 1024
@@ -279,7 +279,7 @@ def _connected(name: str, address: str | tuple[str, int], patience: float) -> so
         except (FileNotFoundError, ConnectionRefusedError, BlockingIOError) as error:
             # It may be about to start.
             if time.monotonic() >= deadline:
-                raise UpperTesterError(f"{name}: {_why_not(error, patience)}") from None
+                raise NoListenerError(f"{name}: {_why_not(error, patience)}") from None
             time.sleep(_RETRY)
         except OSError as error:
             raise UpperTesterError(f"{name}: {_why_not(error, patience)}") from None

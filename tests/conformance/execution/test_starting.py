@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 
 import pytest
+from dcp_conformance.errors import NoListenerError
+from dcp_conformance.execution import target
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.survival.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.execution.target import TargetOptions
@@ -16,6 +19,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.sut.process import has_link_socket
 from dcp_conformance.test_system.bench import Session
+from dcp_conformance.upper_tester import opening
 
 from ..rig import codec_of, known_cases
 
@@ -142,3 +146,28 @@ def test_starting_during_the_sanity_case_is_not_silence():
     for after in (5.5, 7.0, 7.6, 8.0):
         [check] = sanity(Starting(after))
         assert check.verdict is Verdict.PASS, (after, check.observed)
+
+
+class Alive:
+    """A started process that runs."""
+
+    def alive(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("timeout", "opened"), [(60.0, True), (1e-9, False)])
+def test_the_upper_tester_of_a_started_implementation_is_waited_for_as_long_as_a_start_may_take(
+    monkeypatch: pytest.MonkeyPatch, timeout: float, opened: bool
+):
+    """It is not opened within the timeout of a call."""
+    attempts = iter([NoListenerError("no such socket"), NoListenerError("no such socket"), "the upper tester"])
+
+    def open_upper(*_: object, **__: object) -> object:
+        if isinstance(found := next(attempts), Exception):
+            raise found
+        return found
+
+    monkeypatch.setattr(opening, "open_upper", open_upper)
+    options = TargetOptions(link="udp", start="node", start_timeout=timeout)
+    with contextlib.nullcontext() if opened else pytest.raises(NoListenerError):
+        assert target._open_upper(options, "unix:/tmp/n", Pics(), Alive()) == "the upper tester"
