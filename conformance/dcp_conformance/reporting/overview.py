@@ -70,10 +70,9 @@ def stated(run: RunResult) -> str:
 def sentence(fault: Probable) -> str:
     """Return what a probable fault says about the implementation.
 
-    It names the requirement as a fact only if all failures agree with the fault. The behaviour that causes them is
-    always "probable": a fault that is not in the dictionary can fail the same cases with the same observations. If
-    fewer than half of several cases agree, the sentence contains only which cases fail that also fail for a node with
-    the fault.
+    It names the requirement as a fact only if all failures agree with the fault. The behaviour is always "probable": a
+    fault that is not in the dictionary can fail the same cases with the same observations. If fewer than half of the
+    cases agree, the sentence contains only which cases fail that also fail for a node with the fault.
     """
     if fault.certain:
         return f"the implementation violates {', '.join(violated(fault))}: it probably {fault.what}"

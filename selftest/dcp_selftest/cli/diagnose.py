@@ -10,6 +10,8 @@ from .common import jobs_option, quiet_option, seed_option, verbose_option
 
 #: Required minimum share of named faults, and maximum share of false faults among the named ones.
 _RECALL, _FALSE = 0.9, 0.1
+#: Required minimum share of right sentences among those without hedge.
+_RIGHT = 0.95
 #: Number of single faults that are held back, for each pair.
 _HELD_BACK = 4
 
@@ -17,15 +19,22 @@ _HELD_BACK = 4
 @click.command(
     "diagnose",
     epilog=f"Exit status: 0 at least {_RECALL:.0%} of the faults are named, and fewer than {_FALSE:.0%} of the named "
-    "ones are false; 1 otherwise; 2 wrong usage.",
+    "ones are false, or with --changes or --selections: 95% of the sentences without hedge are right; 1 otherwise; "
+    "2 wrong usage.",
 )
 @click.argument("number", type=click.IntRange(1))
+@click.option("--changes", is_flag=True, help="Diagnose NUMBER random changes of the node, all cases for each.")
+@click.option("--selections", is_flag=True, help="Diagnose NUMBER selections of 1 to 5 cases, each with one mutant.")
 @seed_option
 @jobs_option
 @verbose_option
 @quiet_option
-def command(number: int, seed: int, jobs: int | None, *, verbose: bool, quiet: bool) -> int:
+def command(
+    number: int, seed: int, jobs: int | None, *, changes: bool, selections: bool, verbose: bool, quiet: bool
+) -> int:
     """Diagnose NUMBER nodes with two faults and NUMBER nodes with three faults at once, drawn at random."""
+    if changes or selections:
+        return _first_sentences(number, seed, jobs, changes=changes, verbose=verbose)
     from dcp_conformance.cli.display import progress_bar
     from dcp_conformance.diagnosis import load
 
@@ -57,3 +66,18 @@ def command(number: int, seed: int, jobs: int | None, *, verbose: bool, quiet: b
         f'{held.statements} sentences without "probably" {held.true} name the requirement'
     )
     return 0 if good else 1
+
+
+def _first_sentences(number: int, seed: int, jobs: int | None, *, changes: bool, verbose: bool) -> int:
+    """Show the first sentences about random changes or about selections; return the exit status."""
+    from dcp_selftest.diagnosis.unknown import Statement, selections, summary, unknown
+
+    def done(each: Statement) -> None:
+        if verbose or not each.right:
+            say(f"{each.about}\n  {each.sentence or 'no fault'}{'' if each.right else '  WRONG'}")
+
+    found = unknown(number, seed, jobs=jobs, on_result=done) if changes else selections(number, seed, done)
+    what = "random changes that cases detect" if changes else "selections of 1 to 5 cases"
+    say(f"{len(found)} {what}: of the first sentences {summary(found)}")
+    stated = [each for each in found if each.requirements]
+    return 0 if sum(each.right for each in stated) >= _RIGHT * len(stated) else 1

@@ -403,7 +403,7 @@ def test_the_examination_names_each_method_once():
     assert {each.outcome for each in found if each.method in upper.methods} == {"right"}
 
 
-#: The output of Python 3.11 for an exception at the import, and in a constructor.
+#: Output of Python 3.11 after an exception at the import, and in a constructor.
 AT_IMPORT = b"""Traceback (most recent call last):
   File "/opt/adapter.py", line 3, in <module>
     import mystack

@@ -1,4 +1,4 @@
-"""Claims of PICS and PIXIT that contradict what is heard or reported are reported before anything else is tested."""
+"""Claims of PICS and PIXIT that contradict beacons or reported parameters are printed before any test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OWN_VARIABLE = {"varId": 3, "repCnt": 5, "descr": "d" * 16, "value": "55" * 25}
 
 
 def said(pixit: Testing, *, upper: bool) -> list[str]:
-    """Return the reports about a reference node with beacons every 100 ms in network 4369."""
+    """Return the messages about a reference node with beacons every 100 ms in network 4369."""
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
     assert sut.upper_tester().call("RTDB-Create", OWN_VARIABLE).ok
     session = Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester() if upper else None, Pics(pixit=pixit))
@@ -73,7 +73,7 @@ def test_right_claims_are_not_contradicted(upper: bool) -> None:
         ),
     ],
 )
-def test_a_wrong_claim_is_reported(pixit: Testing, reported: str, heard: str) -> None:
+def test_a_wrong_claim_is_printed(pixit: Testing, reported: str, heard: str) -> None:
     for upper, expected in ((True, reported), (False, heard)):
         found = said(pixit, upper=upper)
         assert bool(expected) == any(expected in each for each in found) or not expected, found

@@ -1,4 +1,4 @@
-"""The order of the cells of a matrix, and the time that is announced before it begins."""
+"""The order of the cells of a matrix, and the estimate before it begins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_the_short_selection_comes_first_and_long_cells_before_short_ones() -> N
         assert longest
 
 
-def test_the_time_of_a_matrix_is_announced_with_that_of_its_short_selection() -> None:
+def test_the_estimate_has_the_time_of_the_short_selection() -> None:
     cells = cells_of(PAIR, select_tests(()), world="real")
     tests = [all_tests()[each.test] for each in applicable(cells)]
     seconds = sum(each.longest_s for each in tests)

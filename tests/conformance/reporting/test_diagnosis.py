@@ -17,6 +17,9 @@ from dcp_conformance.reporting.overview import certainty, diagnosed, headline, s
 from dcp_selftest.diagnosis import measuring
 from dcp_selftest.diagnosis.dictionary_making import signature
 from dcp_selftest.diagnosis.measuring import draw, outcome
+from dcp_selftest.diagnosis.unknown import in_process, selections, summary
+from dcp_selftest.generated.isolation import process_context
+from dcp_selftest.generated.sites import sites
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.combination import combined
 from hypothesis import given
@@ -416,3 +419,20 @@ def test_a_fault_that_prevents_most_cases_is_not_probable_by_a_few() -> None:
     """A node that discards every beacon was reported to end a loop too early."""
     (found,) = explain(results("abcd"), Dictionary((fault("wide", *"abcdefghijklm"),))).faults
     assert (found.expected, found.signature, found.likely) == (4, 13, False)
+
+
+def test_the_first_sentence_about_a_few_cases_is_not_false() -> None:
+    found = selections(20, 1)
+    assert len(found) == 20
+    assert all(each.right and each.failed for each in found)
+
+
+@pytest.mark.part("suite")
+def test_a_change_that_the_dictionary_does_not_know_is_diagnosed_in_another_process() -> None:
+    """The command draws changes; this one keeps the initial beacon period."""
+    (site,) = (each for each in sites() if each.key == "9c1f4ab0d2b4")
+    found = in_process(process_context(), site)
+    assert found.failed == 3
+    assert found.requirements == ("BP-PAR-02",)
+    assert found.right
+    assert summary([found]).startswith("1 state a requirement without hedge, 1 of them rightly; 0 are probable")

@@ -202,7 +202,7 @@ class Hangs(ClientList):
 
 @mutant("dies-of-overflow", "BP-TX-04 BP-FMT-02 BP-TXP-09",
     "crashes when the payloads for a beacon fit into it and their blocks, with headers, do not")  # fmt: skip
-class OverflowCrash(ClientList):
+class CrashesOnOverflow(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         chosen = super().take(room, len, most)
         if sum(size(payload) for _, payload in chosen) > room:
@@ -213,7 +213,7 @@ class OverflowCrash(ClientList):
 @mutant(
     "dies-of-full", "BP-QM-01 BP-TXP-04 BP-TXP-09", "crashes on a payload for a full DROPTAIL queue", unseen=NO_MODE
 )
-class FullQueueCrash(OwnQueue):
+class CrashesOnFullQueue(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above
         refused = False
 
@@ -230,7 +230,7 @@ class FullQueueCrash(OwnQueue):
 
 
 @mutant("dies-of-empty", "BP-CLR-03 BP-QM-05 BP-TX-05", "crashes when a beacon is due while a REPEAT buffer is empty")
-class EmptyQueueCrash(ClientList):
+class CrashesOnEmptyBuffer(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         for client in self:
             kept = client.queue is not None and client.queue.rule.when_sent == "keep"
