@@ -51,7 +51,7 @@ DESCRIBED: Final = (
     "M-VD-PC-05-long-description-ignored", "M-VD-ROB-01-faulty-sender-ignored", "M-VD-SCR-03-consumer-double",
 )  # fmt: skip
 _PROTOCOLS: Final = {"BP": "bp", "SRP": "srp", "VD": "vardis"}
-#: Faults that no sequence of a search can show, because a counter wraps after 65,536 steps.
+#: Faults that only 65,536 steps show, since a counter wraps: too many for a sequence.
 LONG: Final = frozenset({"M-BP-HDR-08-sixteen-bits", "M-SRP-SEQ-01-sixteen-bits"})
 
 
