@@ -21,6 +21,8 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
+#: Without a reset, each variable of a case uses an identifier up.
+_RESET = Needs(ut=("UT-Reset",))
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
 
 
@@ -73,6 +75,7 @@ def request_dropped(bench: Bench) -> None:
     ),
     expect="no VarReqUpdate in at least one attempt",
     window=8,
+    needs=_RESET,
 )
 def request_dropped_by_an_older_one(bench: Bench) -> None:
     def attempt() -> bool:
@@ -312,6 +315,7 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     stimulus="a summary of an unknown variable and, immediately after it in another beacon, a VarDelete of it",
     expect="a VarReqCreate for the variable",
     window=8,
+    needs=_RESET,
 )
 def request_kept(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
@@ -328,6 +332,7 @@ def request_kept(bench: Bench) -> None:
     stimulus="a VarDelete of an unknown variable; in another beacon its VarCreate",
     expect="the VarCreate is forwarded",
     window=8,
+    needs=_RESET,
 )
 def created_after_deletion(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
@@ -347,6 +352,7 @@ def created_after_deletion(bench: Bench) -> None:
     ),
     expect="a VarReqUpdate with the sequence number of the VarUpdate",
     window=12,
+    needs=_RESET,
 )
 def number_of_a_request(bench: Bench) -> None:
     peer = bench.peer()
@@ -372,6 +378,7 @@ def number_of_a_request(bench: Bench) -> None:
     stimulus="a newer summary of a neighbour and, immediately after it, a summary of another with the stored number",
     expect="a VarReqUpdate for the variable",
     window=8,
+    needs=_RESET,
 )
 def request_not_withdrawn(bench: Bench) -> None:
     peer, other = bench.peer(), bench.peer()

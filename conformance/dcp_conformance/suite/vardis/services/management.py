@@ -156,7 +156,7 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     stimulus="RTDB-Create, and a variable of a peer; after their repetitions VD-MGMT-Activate twice",
     expect="no further VarCreate, VarUpdate or VarDelete of these variables",
     window=16,
-    needs=_needs("RTDB-Create"),
+    needs=_needs("UT-Reset", "RTDB-Create"),
 )
 def activated_while_active(bench: Bench) -> None:
     mine = produced(bench)
