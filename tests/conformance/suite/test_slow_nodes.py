@@ -31,7 +31,7 @@ TRIALS = [
     ("500 ms for each call", "dcp-1.1"),
 ]
 #: Variables whose timeout is over before a slow implementation first speaks, and what slow calls come too late for.
-MOST_UNDECIDED = 4
+MOST_UNDECIDED = 3
 #: Up to 1.1 BP cannot be deactivated while stimuli are made that must fall between two beacons.
 TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; calls take up to 500 ms"
 

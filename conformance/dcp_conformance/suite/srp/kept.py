@@ -218,26 +218,6 @@ def not_repeated(bench: Bench) -> None:
 
 
 @case(
-    "TC_SRP_RX_BV_11",
-    "A record that has the tStamp of the stored one replaces it",
-    requirements="SRP-RX-03",
-    stimulus="a record with seqno 5, then one of the same node with seqno 6, other safety data and the same tStamp",
-    expect="the entry has the second record: only sequence numbers may be used as a filter",
-    needs=_TABLE,
-)
-def same_stamp(bench: Bench) -> None:
-    peer, stamp = bench.peer(), bench.records.creation_time()
-    peer.send(bench.records.report(peer.node_id, 5, t_stamp=stamp))
-    if until_neighbour(bench, peer.node_id, 5) is None:
-        bench.inconclusive("an entry with the first record", "no such entry")
-    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
-    values: dict[str, Any] = {name: value for name, value in safety_data(bench, 3).items() if kinds[name] != "opaque"}
-    peer.send(bench.records.report(peer.node_id, 6, t_stamp=stamp, **values))
-    entry = until_neighbour(bench, peer.node_id, 6)
-    bench.some(entry, "an entry with the second record", seen="the entry still has the first record")
-
-
-@case(
     "TC_SRP_RX_BV_12",
     "A neighbour may have any identifier ({variant})",
     requirements="SRP-RX-03 DATA-04",

@@ -25,13 +25,32 @@ _SWARM = 8
     needs=_TABLE,
 )
 def older_stamp(bench: Bench) -> None:
-    peer, now = bench.peer(), bench.records.creation_time()
+    now = bench.records.creation_time()
     hour = 3600 * bench.profile.types.timestamp.per_second
     later = max(now, hour)
-    peer.send(bench.records.report(peer.node_id, 5, t_stamp=later))
+    _check_replaced(bench, later, later - hour)
+
+
+@case(
+    "TC_SRP_RX_BV_11",
+    "A record that has the tStamp of the stored one replaces it",
+    requirements="SRP-RX-03",
+    stimulus="a record with seqno 5, then one of the same node with seqno 6 and the same tStamp",
+    expect="the entry has the second record: only sequence numbers may be used as a filter",
+    needs=_TABLE,
+)
+def same_stamp(bench: Bench) -> None:
+    stamp = bench.records.creation_time()
+    _check_replaced(bench, stamp, stamp)
+
+
+def _check_replaced(bench: Bench, first: int, second: int) -> None:
+    """Check that a record with a newer sequence number replaces another; the times are their tStamp."""
+    peer = bench.peer()
+    peer.send(bench.records.report(peer.node_id, 5, t_stamp=first))
     if until_neighbour(bench, peer.node_id, 5) is None:
         bench.inconclusive("an entry with the first record", "no such entry")
-    peer.send(bench.records.report(peer.node_id, 6, t_stamp=later - hour))
+    peer.send(bench.records.report(peer.node_id, 6, t_stamp=second))
     entry = until_neighbour(bench, peer.node_id, 6)
     bench.some(entry, "an entry with the second record", seen="the entry still has the first record")
 

@@ -21,8 +21,6 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
-#: Without a reset, each variable of a case uses an identifier up.
-_RESET = Needs(ut=("UT-Reset",))
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
 
 
@@ -47,22 +45,23 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
     window=8,
 )
 def request_dropped(bench: Bench) -> None:
+    _check_cancelled(bench, 1, "no VarReqUpdate for a value that has arrived, in at least one of 3 attempts")
+
+
+def _check_cancelled(bench: Bench, summarised: int, expected: str) -> None:
+    """Check that the update number 1 cancels the request that a summary has caused."""
+
     def attempt() -> bool:
         peer = bench.peer()
         var_id = teach_variable(bench, peer)
         since = bench.mark()
-        peer.send(peer.summary(var_id, 1))
+        peer.send(peer.summary(var_id, summarised))
         peer.send(peer.update(var_id, 1))
         bench.require_alive("a summary and an update")
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
-    _check_once(
-        bench,
-        attempt,
-        "no VarReqUpdate for a value that has arrived, in at least one of 3 attempts",
-        "one in every attempt",
-    )
+    _check_once(bench, attempt, expected, "one in every attempt")
 
 
 @case(
@@ -75,25 +74,9 @@ def request_dropped(bench: Bench) -> None:
     ),
     expect="no VarReqUpdate in at least one attempt",
     window=8,
-    needs=_RESET,
 )
 def request_dropped_by_an_older_one(bench: Bench) -> None:
-    def attempt() -> bool:
-        peer = bench.peer()
-        var_id = teach_variable(bench, peer)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, 2))
-        peer.send(peer.update(var_id, 1))
-        bench.require_alive("a summary and an update")
-        bench.beacons(1, 1.5)
-        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
-
-    _check_once(
-        bench,
-        attempt,
-        "no VarReqUpdate after a newer value has arrived, in at least one of 3 attempts",
-        "one in every attempt",
-    )
+    _check_cancelled(bench, 2, "no VarReqUpdate after a newer value has arrived, in at least one of 3 attempts")
 
 
 @case(
@@ -315,7 +298,6 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     stimulus="a summary of an unknown variable and, immediately after it in another beacon, a VarDelete of it",
     expect="a VarReqCreate for the variable",
     window=8,
-    needs=_RESET,
 )
 def request_kept(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
@@ -332,7 +314,6 @@ def request_kept(bench: Bench) -> None:
     stimulus="a VarDelete of an unknown variable; in another beacon its VarCreate",
     expect="the VarCreate is forwarded",
     window=8,
-    needs=_RESET,
 )
 def created_after_deletion(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
@@ -352,7 +333,6 @@ def created_after_deletion(bench: Bench) -> None:
     ),
     expect="a VarReqUpdate with the sequence number of the VarUpdate",
     window=12,
-    needs=_RESET,
 )
 def number_of_a_request(bench: Bench) -> None:
     peer = bench.peer()
@@ -378,7 +358,6 @@ def number_of_a_request(bench: Bench) -> None:
     stimulus="a newer summary of a neighbour and, immediately after it, a summary of another with the stored number",
     expect="a VarReqUpdate for the variable",
     window=8,
-    needs=_RESET,
 )
 def request_not_withdrawn(bench: Bench) -> None:
     peer, other = bench.peer(), bench.peer()

@@ -105,7 +105,7 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
     stimulus=f"a variable with timeout {_LONG} ms and a creationTime {{variant}}; then no more records",
     expect="the first VarDelete neither before the timeout since the reception, nor later than allowed",
     window=60,
-    needs=Needs(SpecVersion.V2_0, ut=("UT-Reset",)),
+    needs=_WIRE,
     variants={"an-hour-ago": -1, "in-an-hour": 1},
 )
 def since_reception(bench: Bench, hours: int) -> None:
@@ -131,10 +131,7 @@ def since_reception(bench: Bench, hours: int) -> None:
     window=60,
     needs=Needs(
         SpecVersion.V2_0,
-        ut=(
-            "UT-Reset",
-            "RTDB-Create",
-        ),
+        ut=("RTDB-Create",),
     ),
 )
 def not_postponed(bench: Bench) -> None:

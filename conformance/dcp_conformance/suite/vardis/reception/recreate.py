@@ -276,14 +276,7 @@ def request_ended(bench: Bench) -> None:
     stimulus="RTDB-Create of two variables with the maximum repCnt; RTDB-Create of the first again",
     expect="in beacons with VarCreates of both, that of the second is before the new one of the first",
     window=20,
-    needs=Needs(
-        since=SpecVersion.V2_0,
-        ut=(
-            "UT-Reset",
-            "RTDB-Create",
-        ),
-        when=several_repetitions,
-    ),
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",), when=several_repetitions),
 )
 def queued_last(bench: Bench) -> None:
     count, kind = max_repetitions(bench), ICType.CREATE_VARIABLES

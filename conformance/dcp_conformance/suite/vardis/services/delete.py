@@ -98,7 +98,7 @@ def ends_repetitions(bench: Bench) -> None:
     ),
     expect="after the second RTDB-Delete exactly repCnt beacons with the VarDelete",
     window=60,
-    needs=Needs(since=SpecVersion.V2_0, ut=("UT-Reset", "RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
 )
 def counted_again(bench: Bench) -> None:
     count = max_repetitions(bench)

@@ -156,13 +156,14 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     stimulus="RTDB-Create, and a variable of a peer; after their repetitions VD-MGMT-Activate twice",
     expect="no further VarCreate, VarUpdate or VarDelete of these variables",
     window=16,
-    needs=_needs("UT-Reset", "RTDB-Create"),
+    needs=_needs("RTDB-Create"),
 )
 def activated_while_active(bench: Bench) -> None:
     mine = produced(bench)
     settled(bench, mine)
+    before = bench.mark()
     names = [mine, teach_variable(bench, bench.peer())]
-    settled(bench, names[1])
+    settled(bench, names[1], before)
     mark = bench.mark()
     for _ in range(2):
         bench.expect_status(OK, _ON, "VD-MGT-05")

@@ -103,7 +103,7 @@ def foreign(bench: Bench) -> None:
     requirements="VD-REA-04 VD-PC-07",
     stimulus="RTDB-Create; a peer creates a variable with a creationTime {variant}; RTDB-Read of both",
     expect="two times tStamp that differ by less than half an hour",
-    needs=Needs(since=SpecVersion.V2_0, ut=("UT-Reset", "RTDB-Create", "RTDB-Read")),
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Read")),
     variants={"an-hour-ago": -1, "in-an-hour": 1},
 )
 def time_of_reception(bench: Bench, hours: int) -> None:
