@@ -167,7 +167,7 @@ class Display:
 
     def __enter__(self) -> Self:
         self._progress.start()
-        # The progress bar tells the same.
+        # The progress bar shows the same.
         if self._progress.disable and not self._quiet:
             self._minutes.__enter__()
         return self

@@ -161,6 +161,7 @@ class NodeModel:
         return self.bp.expect(method, params)
 
     def _valid(self, name: str, value: Any) -> bool:
+        """Return whether a parameter may have a value; True for a parameter that the specification does not name."""
         try:
             return validate(name, value, self._bounds()) is None
         except UnknownParameterError:
@@ -169,10 +170,10 @@ class NodeModel:
     def _settable(self, method: str, params: Mapping[str, Any]) -> list[Expected]:
         name, value = params["name"], params["value"]
         try:
-            valid = validate(name, value, self._bounds()) is None
             requirement = parameter(name).requirement
         except UnknownParameterError:
             return []
+        valid = self._valid(name, value)
         status = method.partition("-")[0].replace("VD", "VARDIS") + "-STATUS-OK"
         # Bounds that are read differently: X05, X23, X39, X42.
         clear = valid and name not in ("VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_PAYLOAD_SIZE")
