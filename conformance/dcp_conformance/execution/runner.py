@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 from dcp_spec.parameters import parameters
 
-from dcp_conformance.errors import ContractError, UpperTesterError, UsageError
+from dcp_conformance.errors import ContractError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
 from dcp_conformance.interconnection.claims import contradictions, ignored
 from dcp_conformance.interconnection.collision import collision
@@ -27,6 +27,7 @@ from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Checked
 from dcp_conformance.upper_tester.base import INTERNAL_ERROR
+from dcp_conformance.upper_tester.faults import Violation
 
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
@@ -150,17 +151,29 @@ class Runner:
             # UT-Reset may set its counters to zero.
             with suppress(UpperTesterError):
                 self._ignored += ignored(upper.call("UT-Status", {}).result.get("drops"))
-        self._reset()
+        self._first_reset()
         known = parameters()
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
             if method in upper.methods:
                 try:
                     answer = upper.call(method, {})
-                except ContractError:
+                except (ContractError, NoAnswerError):
                     continue
                 reported = answer.result.get("parameters")
                 if answer.ok and isinstance(reported, dict):
                     session.parameters.update({name: value for name, value in reported.items() if name in known})
+
+    def _first_reset(self) -> None:
+        """Reset the implementation; if UT-Reset is not answered, do without it."""
+        try:
+            self._reset()
+        except NoAnswerError as error:
+            upper = self.session.upper
+            if self.session.pics.pixit.reset != "auto" or not isinstance(upper, Checked):
+                raise
+            upper.methods -= {"UT-Reset"}
+            upper.faults.unused.add("UT-Reset")
+            upper.faults.add(Violation("UT-Reset", f"{error} The run continues without it", "Methods", usable=True))
 
     def examine(self) -> None:
         """Check before the first case whether the upper tester keeps to its contract; its faults are notes."""

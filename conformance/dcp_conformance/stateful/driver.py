@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
@@ -22,7 +23,7 @@ from dcp_codec.values import (
     VarSumm,
     VarUpdate,
 )
-from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.errors import NeverAnsweredError, NoAnswerError, UpperTesterError
 from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.frames.sampling import Sampler
 from dcp_conformance.oracle.judgement import Finding, either
@@ -34,6 +35,10 @@ from .steps import AGAIN, FAULTS, OWN, Beacon, Call, Client, Records, Report, St
 
 #: Services whose octets are given as sizes.
 _SIZED: Final = ("payload", "value")
+#: Services whose missing answer the model can follow: queries, and changes of a queue.
+_FOLLOWED: Final = re.compile(
+    r"RTDB-(Read|Describe.*)|BP-(List.*|Query.*|TransmitPayload|ClearBuffer)|SRP-NeighbourTable|.*-GetParameters"
+)
 _QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"
 _TABLE, _DESCRIBE, _ALL = "SRP-NeighbourTable", "RTDB-DescribeVariable", "RTDB-DescribeDatabase"
 
@@ -217,6 +222,10 @@ class Driver:
             self._alive()
             if not executor.lossy_services:
                 self._fail(Finding(("DATA-10",), f"an answer to {method}", str(error)))
+            unanswered = isinstance(error, NoAnswerError | NeverAnsweredError)
+            if unanswered and not _FOLLOWED.fullmatch(method):
+                # The model cannot follow the node any further.
+                raise
             model.bp.unknown_outcome(method, params)
             return None
         after = executor.now(), executor.wall()
@@ -238,7 +247,10 @@ class Driver:
     def _creation(self, var_id: int) -> int | None:
         if _DESCRIBE not in self.executor.methods:
             return None
-        answer = self.executor.call(_DESCRIBE, {"varId": var_id})
+        try:
+            answer = self.executor.call(_DESCRIBE, {"varId": var_id})
+        except NeverAnsweredError:
+            return None
         found = answer.result.get("variable", {}).get("creationTime") if answer.ok else None
         return found if isinstance(found, int) else None
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis import target
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
+from dcp_conformance.errors import NeverAnsweredError, NoAnswerError
 from dcp_conformance.oracle.bp import Client as Registration
 from dcp_conformance.oracle.knowledge import NO_CREATION
 
@@ -181,6 +182,8 @@ class NodeMachine(RuleBasedStateMachine):
         self.executor = self.open()
         self.driver = Driver(self.executor, self.reached)
         self.counterexample: Counterexample | None = None
+        self._lost = False
+        """Whether a call had no answer, so that the model cannot follow the node any further."""
         self._version = self.executor.codec.profile.spec_version
         self.title = ""
         """The theme of the sequence."""
@@ -234,10 +237,14 @@ class NodeMachine(RuleBasedStateMachine):
         """Release what :meth:`open` returned."""
 
     def take(self, step: Step) -> None:
-        """Execute a step."""
+        """Execute a step; none after a call that had no answer."""
+        if self._lost:
+            return
         self.executed["steps"] += 1
         try:
             self.driver.step(step)
+        except (NoAnswerError, NeverAnsweredError):
+            self._lost = True
         except Counterexample as found:
             self.counterexample = found
             raise
@@ -246,7 +253,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Finish the sequence, unless it has ended with a counterexample."""
         self.executed["sequences"] += 1
         try:
-            if self.counterexample is None:
+            if self.counterexample is None and not self._lost:
                 self.driver.finish()
                 target(float(sum(1 / self.reached[pair] for pair in self.driver.pairs)), label="rare pairs")
         finally:

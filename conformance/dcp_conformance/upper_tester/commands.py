@@ -16,10 +16,11 @@ from typing import Any
 
 from dcp_codec.common.child import end_group, ending
 from dcp_codec.common.printable import printable
-from dcp_conformance.errors import CouldNotAskError, NoAnswerError, UpperTesterError, UsageError
+from dcp_conformance.errors import CouldNotAskError, NeverAnsweredError, NoAnswerError, UpperTesterError, UsageError
 
 from .base import METHOD_NOT_FOUND, Answer, Notification
 from .commands_file import Adapter, Method, Reading, converted, load_adapter, placeholders, status_of_success
+from .patience import Patience
 
 #: Octets of output of a command that are read.
 MOST_OUTPUT = 1024 * 1024
@@ -51,7 +52,7 @@ class CommandUpperTester:
         self.name = name
         self._adapter = adapter
         self._settings = settings
-        self._patience = adapter.timeout or patience
+        self._patience = Patience(adapter.timeout or patience)
         # Without UT-Hello: the file describes the implementation, which is not a sign of life.
         self.methods = frozenset(adapter.methods) - {"UT-Hello"}
         self.about: dict[str, Any] = {
@@ -69,6 +70,7 @@ class CommandUpperTester:
 
     def reconnect(self) -> None:
         """Identify the implementation again, if there is a command for it. Raises ``UpperTesterError``."""
+        self._patience.renew()
         method = self._adapter.methods.get("UT-Hello")
         if method is not None:
             answer = self._carry_out("UT-Hello", method, {})
@@ -112,9 +114,17 @@ class CommandUpperTester:
                 fixed = method.fixed.get(parameter)
                 says = f"only with {fixed}" if fixed is not None else "not at all"
                 raise CouldNotAskError(f"{where}: the command accepts {parameter} {says}, and not {value!r}")
+        if why := self._patience.refused(name):
+            raise CouldNotAskError(f"{self.name}: {why}")
         words = [self._filled(where, each, values) for each in method.command]
         given = self._filled(where, method.stdin, values).encode()
-        status, output = _run(where, words, given, method.timeout or self._patience)
+        begun, patience = time.monotonic(), self._patience.of(name, method.timeout or None)
+        try:
+            status, output = _run(where, words, given, patience)
+        except NoAnswerError as error:
+            learnt = self._patience.unanswered(name, where, patience)
+            raise learnt if isinstance(learnt, NeverAnsweredError) else error from None
+        self._patience.answered(name, begun)
         return self._answer(where, name, method, status, output)
 
     def _filled(self, where: str, template: str, values: dict[str, str]) -> str:

@@ -46,6 +46,8 @@ class Faults:
         """Number of messages that could not be used."""
         self.forgets_protocols = ""
         """Why SRP or VarDis must not be deregistered: UT-Reset does not register them again; empty if it does."""
+        self.unused: set[str] = set()
+        """Methods that the tester does without, although UT-Hello lists them."""
         self.forgets_parameters = False
         """Whether UT-Reset does not restore parameters."""
         self.report: Callable[[str], None] = lambda _: None

@@ -49,7 +49,7 @@ class StreamUpperTester:
         self,
         name: str,
         connect: Callable[[float], Channel],
-        patience: float,
+        patience: float | Patience,
         *,
         several: bool = True,
         connecting: float | None = None,
@@ -57,6 +57,7 @@ class StreamUpperTester:
     ) -> None:
         """``connect`` opens a channel, trying for so many s; ``several``: there can be more than one at a time.
 
+        ``patience``: timeout of an answer in s, or the timeouts that a connection to the same adapter has learnt.
         ``connecting``: s to try the first time, by default the patience. ``faults``: those of the adapter, which all of
         its connections share.
 
@@ -71,7 +72,7 @@ class StreamUpperTester:
         self.about: dict[str, Any] = {}
         self.methods: frozenset[str] = frozenset()
         self._connect = connect
-        self._patience = Patience(patience)
+        self._patience = patience if isinstance(patience, Patience) else Patience(patience)
         self.gone: Callable[[], bool] | None = None
         """Tells whether the implementation is known to have ended, so that nothing is waited for; None: unknown."""
         self._unreachable = False
@@ -84,7 +85,7 @@ class StreamUpperTester:
         self._notifications: deque[Notification] = deque()
         self._dropped = 0
         self._closed = False
-        self._open(patience if connecting is None else connecting)
+        self._open(self._patience.seconds if connecting is None else connecting)
 
     # -- the contract of an upper tester -----------------------------------------------------------------------
 
@@ -97,6 +98,8 @@ class StreamUpperTester:
             self._connect_again(_AGAIN if self._unreachable else self._patience.seconds)
         if self.faults.forgets_protocols and method == _DEREGISTER and params.get("protId") in _OWN:
             raise CouldNotAskError(f"{self.name}: {self.faults.forgets_protocols}")
+        if why := self._patience.refused(method):
+            raise CouldNotAskError(f"{self.name}: {why}")
         return self._call(method, params)
 
     def poll(self) -> list[Notification]:
@@ -123,7 +126,7 @@ class StreamUpperTester:
         """A second connection; None for standard streams."""
         if not self._several:
             return None
-        other = StreamUpperTester(self.name, self._connect, self._patience.seconds, faults=self.faults)
+        other = StreamUpperTester(self.name, self._connect, self._patience, faults=self.faults)
         other.gone = self.gone
         return other
 
@@ -143,6 +146,7 @@ class StreamUpperTester:
 
     def _connect_again(self, seconds: float) -> None:
         self._unreachable = True
+        self._patience.renew()
         self._open(seconds)
         self._unreachable = False
 
@@ -193,7 +197,7 @@ class StreamUpperTester:
         if not all(isinstance(each, str) for each in methods):
             raise UpperTesterError(f"{self.name}: the answer to UT-Hello lists a method that is not text")
         self.about = answer.result
-        self.methods = frozenset(methods)
+        self.methods = frozenset(methods) - self.faults.unused
 
     def _drop(self) -> None:
         old, self._channel = self._channel, None

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from typing import ClassVar
 
 import pytest
-from dcp_conformance.errors import LowerTesterError, UpperTesterError
+from dcp_conformance.errors import LowerTesterError, NoAnswerError, UpperTesterError
 from dcp_conformance.execution.concurrent import WIDTH, why_alone
 from dcp_conformance.execution.concurrent.executor import SideBySide
 from dcp_conformance.execution.concurrent.scheduler import Scheduler, Task
@@ -427,6 +427,51 @@ def test_other_cases_continue_during_a_call() -> None:
     scheduler.start(listens)
     drive(scheduler)
     assert order == ["heard", "heard", "heard", "called"]
+
+
+class HangingUpper(SlowUpper):
+    """An upper tester that answers nothing any more, or only UT-Hello."""
+
+    methods = frozenset({"SLOW", "UT-Hello"})
+
+    def __init__(self, answered: str = "") -> None:
+        self.answered = answered
+        self.called: list[str] = []
+
+    def call(self, method: str, params: dict) -> Answer:
+        self.called.append(method)
+        if len(self.called) == 1:
+            # Not before the other case waits, too.
+            WAITING.set()
+            assert BLOCKED.wait(20)
+            WAITING.clear()
+            RETURNED.set()
+        if method == self.answered:
+            return Answer("UT-STATUS-OK")
+        raise NoAnswerError(f"{method} was not answered")
+
+
+@pytest.mark.parametrize(
+    ("answered", "calls"),
+    [("", ["SLOW", "UT-Hello"]), ("UT-Hello", ["SLOW", "UT-Hello", "SLOW", "UT-Hello"])],
+)
+def test_waiting_calls_fail_together_if_nothing_is_answered_any_more(answered: str, calls: list[str]) -> None:
+    for each in (WAITING, BLOCKED, RETURNED):
+        each.clear()
+    upper = HangingUpper(answered)
+    scheduler = Scheduler(RealLink(10), upper, lambda _: None)
+    failed: list[str] = []
+
+    def body(task: Task) -> None:
+        with pytest.raises(NoAnswerError) as error:
+            SharedUpper(scheduler, task, scheduler.upper).call("SLOW", {})
+        failed.append(str(error.value))
+
+    scheduler.start(body)
+    scheduler.start(body)
+    drive(scheduler)
+    assert failed == ["SLOW was not answered"] * 2
+    assert upper.called == calls
 
 
 def test_a_crash_is_detected_and_attributed_to_its_case() -> None:

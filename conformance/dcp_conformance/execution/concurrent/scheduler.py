@@ -11,7 +11,7 @@ from typing import Any
 
 from greenlet import greenlet
 
-from dcp_conformance.errors import LowerTesterError, UpperTesterError
+from dcp_conformance.errors import LowerTesterError, NoAnswerError, UpperTesterError
 from dcp_conformance.lower_tester import Arrival, LowerTester, OnThisMachine
 from dcp_conformance.upper_tester import Answer, Notification, UpperTester
 
@@ -153,7 +153,7 @@ class Scheduler:
         if self.lost_upper is not None and (self._abandoned or not self._closing):
             raise self.lost_upper
         if self._threads is None:
-            answer = self.upper.call(method, params)
+            answer = self._ask(method, params)
             self.take_notifications()
             return answer
         if self._closing:
@@ -165,7 +165,9 @@ class Scheduler:
         # Not until the future is done: the thread may be faster than this one, and the call is in the queue still.
         while not mine.ended:
             self._main.switch()
-        assert mine.future is not None
+        if mine.future is None:
+            assert self.lost_upper is not None
+            raise self.lost_upper
         return mine.future.result()
 
     def drain(self, until: int, *, wait: bool) -> bool:
@@ -225,8 +227,21 @@ class Scheduler:
             return
         assert self.upper is not None
         call = self._calls[0]
-        call.future = self._threads.submit(self.upper.call, call.method, call.params)
+        call.future = self._threads.submit(self._ask, call.method, call.params)
         call.future.add_done_callback(lambda _: self._wake.send(b"\0"))
+
+    def _ask(self, method: str, params: dict[str, Any]) -> Answer:
+        """Call the upper tester. If it answers nothing any more, all calls that wait fail together."""
+        assert self.upper is not None
+        try:
+            return self.upper.call(method, params)
+        except NoAnswerError as error:
+            if "UT-Hello" in self.upper.methods:
+                try:
+                    self.upper.call("UT-Hello", {})
+                except UpperTesterError:
+                    self.lost_upper = error
+            raise
 
     def _finish_call(self) -> None:
         """If the call in progress has ended, resume its task, which may make its next call before others."""
@@ -238,8 +253,13 @@ class Scheduler:
             waiting, self._calls = self._calls, deque()
             self.take_notifications()
             self._resume(call.task)
-            self._calls.extend(waiting)
-            self._begin_call()
+            if self.lost_upper is None:
+                self._calls.extend(waiting)
+                self._begin_call()
+                continue
+            for each in waiting:
+                each.ended = True
+                self._resume(each.task)
 
     def _settle(self) -> None:
         """Wait for the call in progress, and drop waiting calls."""

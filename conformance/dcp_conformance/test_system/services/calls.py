@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
-from dcp_conformance.errors import ConformanceError, UpperTesterError
+from dcp_conformance.errors import ConformanceError, NeverAnsweredError, UpperTesterError
 from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.judgement.matchers import Matchers
@@ -90,8 +90,12 @@ class Services:
         begun = link.now()
         try:
             answer = upper.call(method, params)
-        except UpperTesterError:
+        except UpperTesterError as error:
             self._carried_out(method, params)
+            # Waiting for a missing answer is not a delay of the tester.
+            self._steps.end(link.now())
+            if not isinstance(error, NeverAnsweredError):
+                self._steps.held(link.now() - begun - self._run.typical_call)
             raise
         self._changes.answered(method, params, answer)
         if answer.ok and method == "UT-Reset":
