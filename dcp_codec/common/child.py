@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO
 
 from .printable import printable
+from .sanitizers import findings
 
 #: Lines at the end of the output that are quoted, octets of each, and octets of the file that are read for that.
 _LINES, _LINE, _TAIL = 10, 500, 64 * 1024
@@ -28,8 +29,6 @@ _GONE, _AGAIN = 0.5, 0.02
 #: Unit of ``st_blocks``, in octets.
 _BLOCK = 512
 _PR_SET_PDEATHSIG = 1
-#: The line with the kind and the place of a fault in a report of AddressSanitizer or UndefinedBehaviorSanitizer.
-_SANITIZER = re.compile(rb"SUMMARY: \w+Sanitizer: [^\n]*|[^\n]*: runtime error: [^\n]*")
 #: A frame in the traceback of an exception in Python, and the first line of the traceback.
 _FRAME = re.compile(r'\s+File "(?P<file>.+)", line (?P<line>\d+)')
 _TRACEBACK = "Traceback (most recent call last):"
@@ -58,6 +57,7 @@ class Child:
         Raises ``OSError``; its text has the name of the command.
         """
         self._output: IO[bytes] = tempfile.TemporaryFile() if log is None else log.open("ab+")  # noqa: SIM115
+        self._begun = os.fstat(self._output.fileno()).st_size
         # The process writes at the end, also after the file was truncated.
         fcntl.fcntl(self._output, fcntl.F_SETFL, os.O_APPEND)
         try:
@@ -115,20 +115,21 @@ class Child:
         return lines[-1][-300:] if lines else ""
 
     def last_lines(self) -> str:
-        """Return the last lines of the output as the end of a message, after the first line of a sanitizer's report.
+        """Return the last lines of the output as the end of a message, after what a sanitizer has found.
 
-        Such a report is longer than what is quoted, and ends with less than it begins with.
+        Its report is longer than what is quoted, and ends with less than it begins with.
         """
         lines = LastLines()
         tail = self._tail(_KEPT)
-        lines.take(tail[-_TAIL:])
-        found = _SANITIZER.findall(tail)
-        named = " | ".join(printable(each[:_LINE].decode(errors="replace")) for each in dict.fromkeys(found))
+        lines.take(tail)
+        found = findings(tail.decode(errors="replace"))
+        named = " | ".join(printable(each[:_LINE]) for each in found)
         return f"; {named}{lines.shown()}" if found else lines.shown()
 
     def _tail(self, most: int = _TAIL) -> bytes:
+        """Return the end of the output of this process; a file may have that of earlier ones before it."""
         size = os.fstat(self._output.fileno()).st_size
-        return os.pread(self._output.fileno(), most, max(0, size - most))
+        return os.pread(self._output.fileno(), most, max(0, size - most, self._begun if size >= self._begun else 0))
 
     def trim(self) -> None:
         """Free the disk space of old output, if it is more than 1 MiB."""

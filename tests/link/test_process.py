@@ -58,21 +58,70 @@ def control():
         each.close()
 
 
-def test_a_report_of_a_sanitizer_is_named_and_the_output_is_kept(tmp_path):
-    """Its last lines say less than its summary, and the file has all of it."""
-    report = "==7==ERROR: AddressSanitizer: stack-buffer-overflow\\n" + "frame\\n" * 40
-    report += "SUMMARY: AddressSanitizer: stack-buffer-overflow node.c:12 in rx_create\\n" + "shadow\\n" * 40
+FAULTY = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+static int parse(const unsigned char *octets, int length) {
+    unsigned char *copy = malloc(8);
+    memcpy(copy, octets, length);
+    return copy[7];
+}
+static int shifted(int by) { return 1 << by; }
+int main(int argc, char **argv) {
+    static unsigned char frame[64];
+    while (access(argv[1], F_OK)) usleep(1000);
+    if (!strcmp(argv[2], "copy")) return parse(frame, 20);
+    if (!strcmp(argv[2], "free")) { char *copy = malloc(4); free(copy); return copy[argc - 3]; }
+    if (!strcmp(argv[2], "shift")) { printf("%d\\n", shifted(argc + 40)); abort(); }
+    return 3;
+}
+"""
+#: By fault: what its finding quotes. No line of the report of ``copy`` but the stack has the place in the program.
+QUOTED = {
+    "copy": r"ERROR: AddressSanitizer: heap-buffer-overflow on address \w+, WRITE of size 20, in parse \S*node\.c:8; its",
+    "free": r"ERROR: AddressSanitizer: heap-use-after-free on address \w+, READ of size 1, in main \S*node\.c:16; its",
+    "shift": r"node\.c:11:\d+: runtime error: shift exponent 43 is too large for 32-bit type 'int'; its",
+}
+
+
+@pytest.mark.tool("gcc")
+def test_a_report_of_a_sanitizer_is_quoted_by_its_first_line_and_the_place_in_the_source(tmp_path):
+    (tmp_path / "node.c").write_text(FAULTY)
+    command = "gcc -w -g -O0 -fno-omit-frame-pointer -fsanitize=address,undefined node.c -o node"
+    subprocess.run(command.split(), cwd=tmp_path, check=True)
     # The process must not end before start() has checked it.
     started = tmp_path / "started"
-    waiting = f"import os, sys\nwhile not os.path.exists({str(started)!r}): pass\n"
-    words = [sys.executable, "-c", f"{waiting}sys.stderr.write('{report}==7==ABORTING'); sys.exit(1)"]
-    it = ProcessControl(start=words, settle=0, log=tmp_path / "output.txt")
+    for fault, quoted in QUOTED.items():
+        started.unlink(missing_ok=True)
+        it = ProcessControl(
+            start=[str(tmp_path / "node"), str(started), fault], settle=0, log=tmp_path / f"{fault}.txt"
+        )
+        it.start()
+        started.touch()
+        eventually(lambda it=it: it.alive() is False, "it ends")
+        assert re.search(quoted, it.why_dead()), it.why_dead()
+        it.close()
+    # The file has all of it.
+    assert "==ERROR: AddressSanitizer" in (tmp_path / "copy.txt").read_text()
+
+
+def test_the_output_of_an_earlier_life_is_not_quoted(tmp_path):
+    code = "first = not (here / 'lived').exists(); (here / 'lived').touch()\n"
+    code += "while not (here / 'end').exists(): time.sleep(0.01)\n"
+    code += "print('ERROR: AddressSanitizer: of the first life' if first else 'second', flush=True); sys.exit(1)"
+    it = ProcessControl(start=program(tmp_path, code), settle=0, log=tmp_path / "output.txt")
     it.start()
-    started.touch()
+    (tmp_path / "end").touch()
     eventually(lambda: it.alive() is False, "it ends")
-    assert "stack-buffer-overflow node.c:12 in rx_create; its output: " in it.why_dead()
+    assert "of the first life" in it.why_dead()
+    (tmp_path / "end").unlink()
+    it.restart()
+    (tmp_path / "end").touch()
+    eventually(lambda: it.alive() is False, "it ends")
+    assert it.why_dead() == "it ended with exit status 1; its output: second"
     it.close()
-    assert (tmp_path / "output.txt").read_text().startswith("==7==ERROR: AddressSanitizer")
 
 
 def test_a_process_is_started_watched_and_ended(tmp_path, control):
