@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-#: The first line of a report. It ends with registers, a process number or a colon, which say nothing about the fault.
+#: The first line of a report. It ends with registers, a process number or a colon, which do not describe the fault.
 _REPORT = re.compile(r"(?:ERROR|WARNING): \w+Sanitizer: .*")
 _REGISTERS = re.compile(r" (?:at pc|\(pc|\(pid=).*|:$")
 _ACCESS = re.compile(r"(?:READ|WRITE) of size \d+|Direct leak of \d+ byte\(s\)")

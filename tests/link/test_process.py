@@ -80,7 +80,7 @@ int main(int argc, char **argv) {
 """
 #: By fault: what its finding quotes. No line of the report of ``copy`` but the stack has the place in the program.
 QUOTED = {
-    "copy": r"ERROR: AddressSanitizer: heap-buffer-overflow on address \w+, WRITE of size 20, in parse \S*node\.c:8; its",
+    "copy": r"ERROR: \w+: heap-buffer-overflow on address \w+, WRITE of size 20, in parse \S*node\.c:8; its",
     "free": r"ERROR: AddressSanitizer: heap-use-after-free on address \w+, READ of size 1, in main \S*node\.c:16; its",
     "shift": r"node\.c:11:\d+: runtime error: shift exponent 43 is too large for 32-bit type 'int'; its",
 }

@@ -96,7 +96,7 @@ def calls(result: CaseResult) -> set[str]:
         ("RTDB-Update", True, ()),
         ("BP-RegisterProtocol", True, ()),
         ("BP-DeregisterProtocol", False, ()),
-        # What could not be activated again is not deactivated.
+        # The tester does not deactivate what it could not activate again.
         ("BP-MGMT-Activate", False, ("BP-MGMT-Deactivate",)),
     ],
 )

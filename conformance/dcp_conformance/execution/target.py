@@ -6,8 +6,9 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 from dcp_spec.profile.definition import Profile
@@ -272,7 +273,9 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
 
         upper = _open_upper(options, options.ut, pics, process)
         if process is not None:
-            process.after_restart.append(upper.reconnect)
+            process.after_restart.append(
+                partial(_connected, process, options.start_timeout or START_PATIENCE, upper.reconnect)
+            )
             if isinstance(upper, StreamUpperTester):
                 upper.gone = lambda: process.alive() is False
     return _session(options, codec, pics, lower, upper), control, []
@@ -282,16 +285,29 @@ def _open_upper(options: TargetOptions, spec: str, pics: Pics, process: ProcessC
     """Open the upper tester; an implementation that the tester has started gets the time that a start may take."""
     from dcp_conformance.upper_tester.opening import open_upper
 
-    deadline = time.monotonic() + (options.start_timeout or START_PATIENCE)
+    if process is None:
+        return open_upper(spec, _patience(pics), starting=False)
+    seconds = (options.start_timeout or START_PATIENCE) if options.start else 0.0
+    return _connected(process, seconds, lambda: open_upper(spec, _patience(pics), starting=True))
+
+
+_Connected = TypeVar("_Connected")
+
+
+def _connected(process: SutControl, seconds: float, connect: Callable[[], _Connected]) -> _Connected:
+    """Connect to the upper tester of an implementation that may have been started just now; raise ``ConformanceError``.
+
+    ``seconds``: maximum duration of a start, which may be longer than the timeout of an answer.
+    """
+    deadline = time.monotonic() + seconds
     while True:
         try:
-            return open_upper(spec, _patience(pics), starting=process is not None)
+            return connect()
         except UpperTesterError as error:
-            if process is not None and process.alive() is False:
+            if process.alive() is False:
                 # The upper tester cannot be reached because the process is dead: report that instead.
                 raise ConformanceError(f"--start: {process.why_dead()}") from error
-            started = process is not None and options.start and isinstance(error, NoListenerError)
-            if not started or time.monotonic() >= deadline:
+            if not isinstance(error, NoListenerError) or time.monotonic() >= deadline:
                 raise
 
 

@@ -12,6 +12,7 @@ METHOD_NOT_FOUND: Final = -32601
 INTERNAL_ERROR: Final = -32603
 NOT_A_VALUE: Final = -32001
 NO_RESPONSE: Final = -32002
+NOT_REACHED: Final = -32003
 #: Errors with which the implementation itself has answered: it made a mistake, refuses a value, or keeps silent.
 _OF_THE_IMPLEMENTATION: Final = frozenset({INTERNAL_ERROR, NOT_A_VALUE, NO_RESPONSE})
 

@@ -16,9 +16,9 @@ import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.common.printable import printable
-from dcp_conformance.errors import ContractError, CouldNotAskError, UpperTesterError
+from dcp_conformance.errors import ContractError, CouldNotAskError, NoListenerError, UpperTesterError
 
-from .base import METHOD_NOT_FOUND, Answer, Notification
+from .base import METHOD_NOT_FOUND, NOT_REACHED, Answer, Notification
 from .channels import Channel
 from .faults import Faults, Violation, shown
 from .jsonrpc import answer_of, notification_of, request_line
@@ -167,10 +167,19 @@ class StreamUpperTester:
 
     def _open(self, connecting: float) -> None:
         self._drop()
+        deadline = time.monotonic() + connecting
         self._channel = self._opened(connecting)
         try:
-            self._ask_nonsense()
-            self._greet()
+            while True:
+                try:
+                    self._ask_nonsense()
+                    self._greet()
+                    return
+                except NoListenerError:
+                    # An adapter that is there before the implementation.
+                    if time.monotonic() >= deadline or (self.gone is not None and self.gone()):
+                        raise
+                    time.sleep(_AGAIN)
         except UpperTesterError:
             self._drop()
             raise
@@ -179,6 +188,7 @@ class StreamUpperTester:
         """Check that an unknown method is refused: a peer that answers OK to any method proves nothing."""
         method = f"UT-NoSuchMethod-{secrets.token_hex(4)}"
         answer = self._call(method, {})
+        self._require_reached(answer)
         if answer.code != METHOD_NOT_FOUND:
             raise UpperTesterError(
                 f"{self.name}: the method {method}, which does not exist, is answered with {answer} instead of error "
@@ -187,6 +197,7 @@ class StreamUpperTester:
 
     def _greet(self) -> None:
         answer = self._call("UT-Hello", {})
+        self._require_reached(answer)
         if not answer.ok:
             raise UpperTesterError(f"{self.name}: UT-Hello is answered with {answer}; it must always succeed")
         for member, kind in _HELLO.items():
@@ -198,6 +209,10 @@ class StreamUpperTester:
             raise UpperTesterError(f"{self.name}: the answer to UT-Hello lists a method that is not text")
         self.about = answer.result
         self.methods = frozenset(methods) - self.faults.unused
+
+    def _require_reached(self, answer: Answer) -> None:
+        if answer.code == NOT_REACHED or answer.unreachable:
+            raise NoListenerError(f"{self.name}: the adapter cannot reach the implementation: {answer}")
 
     def _drop(self) -> None:
         old, self._channel = self._channel, None

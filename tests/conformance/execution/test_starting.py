@@ -171,3 +171,16 @@ def test_the_upper_tester_of_a_started_implementation_is_waited_for_as_long_as_a
     options = TargetOptions(link="udp", start="node", start_timeout=timeout)
     with contextlib.nullcontext() if opened else pytest.raises(NoListenerError):
         assert target._open_upper(options, "unix:/tmp/n", Pics(), Alive()) == "the upper tester"
+
+
+@pytest.mark.parametrize(("seconds", "connected"), [(60.0, True), (1e-9, False)])
+def test_the_upper_tester_is_waited_for_as_long_as_a_start_may_take_after_each_restart(seconds: float, connected: bool):
+    attempts = iter([NoListenerError("no such socket"), NoListenerError("cannot be reached"), None])
+
+    def reconnect() -> None:
+        if (found := next(attempts)) is not None:
+            raise found
+
+    with contextlib.nullcontext() if connected else pytest.raises(NoListenerError):
+        target._connected(Alive(), seconds, reconnect)
+    assert (next(attempts, "none left") == "none left") is connected

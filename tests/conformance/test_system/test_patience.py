@@ -45,7 +45,7 @@ def test_another_method_has_all_of_it_once_one_was_answered() -> None:
     assert (patience.of(LIST), patience.of("RTDB-Create"), patience.of(READ)) == (5, 5, 1)
 
 
-def test_a_method_that_is_never_answered_says_nothing_about_the_implementation() -> None:
+def test_a_method_that_is_never_answered_does_not_show_that_the_implementation_hangs() -> None:
     patience = never(READ)
     assert patience.never(READ)
     assert patience.of(READ) == pytest.approx(0.1)

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from dcp_conformance import upper_tester as uppers
-from dcp_conformance.errors import UpperTesterError, UsageError
+from dcp_conformance.errors import NoListenerError, UpperTesterError, UsageError
 from dcp_conformance.upper_tester.patience import Patience
 from dcp_conformance.upper_tester.stream import DROPPED, MOST_NOTIFICATIONS
 
@@ -132,6 +132,19 @@ def test_wrong_answers_later(tmp_path, lie):
         assert upper.call("UT-Hello", {}).ok
     finally:
         upper.close()
+
+
+@pytest.mark.parametrize(
+    "error", [{"code": -32003, "message": "cannot be reached"}, {"code": -32603, "message": "connection refused"}]
+)
+def test_an_adapter_that_is_there_before_the_implementation_is_asked_again(tmp_path, error):
+    code = f"asked = []\nrefuse = nonsense\ndef nonsense(r):\n    asked.append(r)\n    error = {error}\n"
+    code += "    refuse(r) if len(asked) > 2 else say(id=r['id'], error=error)"
+    upper = open_upper(adapter(tmp_path, code))
+    assert upper.methods == {"UT-Hello", "X"}
+    upper.close()
+    with pytest.raises(NoListenerError, match=f"the adapter cannot reach the implementation: error {error['code']}"):
+        open_upper(adapter(tmp_path, code.replace("> 2", "> 1000000")), patience=1)
 
 
 def test_a_status_that_the_specification_lacks_is_an_answer_of_the_implementation(tmp_path):
