@@ -17,6 +17,7 @@ from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.faults import Faults
 from dcp_conformance.upper_tester.patience import Patience
 from dcp_selftest.mutants import all_mutants
+from dcp_selftest.mutants.combination import combined
 from dcp_selftest.runner import Suite, cases
 
 from ..conformance.rig import codec_of
@@ -25,6 +26,8 @@ PROFILE = "dcp-2.0"
 #: Maximum number of concurrent cases of a run.
 WIDTH = 16
 HEADER, MUTE = "M-BP-HDR-06-with-header", "M-SRP-SRV-03-mute"
+#: Together they end the node in 36 cases: by calls, valid frames and damaged frames.
+LETHAL = ("M-BP-QM-01-dies-of-full", "M-BP-RX-15-dies", "M-BP-RX-16-dies-of-nothing", "M-BP-TX-04-dies-of-overflow")
 
 
 class Unanswering(VirtualUpperTester):
@@ -60,8 +63,8 @@ class Outcome(NamedTuple):
     results: Mapping[str, CaseResult]
 
 
-def outcome(make: MakeNode, never: str = "", *, executes: bool = False) -> Outcome:
-    """Execute a whole run; ``never``: a method that is never answered."""
+def outcome(make: MakeNode, never: str = "", *, executes: bool = False, width: int = WIDTH) -> Outcome:
+    """Execute a whole run; ``never``: a method that is never answered. ``width`` 1: in succession."""
     from dcp_conformance.execution.runner import Runner
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.test_system.bench import Session
@@ -69,8 +72,10 @@ def outcome(make: MakeNode, never: str = "", *, executes: bool = False) -> Outco
     sut = InProcess(reference_config(codec_of(PROFILE)), make=make)
     upper = Unanswering(sut, never, executes=executes) if never else sut.upper_tester()
     runner = Runner(Session(codec_of(PROFILE), sut.lower_tester(), upper, Pics()), sut)
-    results = Suite(PROFILE, runner=runner).run_side_by_side(cases(), WIDTH)
-    return Outcome(sut.now / 1e9, {each.id: each for each in results})
+    suite = Suite(PROFILE, runner=runner)
+    results = suite.run(cases()) if width == 1 else suite.run_side_by_side(cases(), width)
+    verdicts = {each.id: each for each in results}
+    return Outcome(sut.now / 1e9, verdicts)
 
 
 @cache
@@ -82,6 +87,16 @@ def clean() -> Outcome:
 @pytest.mark.parametrize("name", [HEADER, MUTE])
 def test_a_run_takes_at_most_twice_that_of_a_node_without_faults(name: str) -> None:
     assert outcome(all_mutants()[name].make).seconds <= 2 * clean().seconds
+
+
+@pytest.mark.part("suite")
+def test_deaths_cost_little_time_and_change_no_verdict() -> None:
+    make = combined([all_mutants()[each] for each in LETHAL])
+    found, alone = outcome(make), outcome(make, width=1)
+    assert sum(each.killed for each in found.results.values()) == 36
+    assert found.seconds <= 1.4 * clean().seconds
+    verdicts = {name: (str(each.verdict), each.killed) for name, each in alone.results.items()}
+    assert {name: (str(each.verdict), each.killed) for name, each in found.results.items()} == verdicts
 
 
 def calls(result: CaseResult) -> set[str]:

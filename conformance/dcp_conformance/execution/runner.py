@@ -490,21 +490,31 @@ class Runner:
             return f"UT-Reset failed: {error}"
         return ""
 
+    def settle(self, case: Case) -> None:
+        """Restart the implementation if the last case may have left a state that affects ``case``."""
+        if self._unsettled and self._restartable:
+            self._recent.clear()
+            if why := self._restart_sut(case):
+                self.dead = f"the implementation was restarted before {case.id}; {why}"
+                self.remarks.append(self.dead)
+
     def attempt(self, case: Case) -> CaseResult | None:
         """Execute a case alone; return its result if it is an undisturbed pass, otherwise None: it must be repeated.
 
-        An implementation that has died is restarted if possible.
+        An implementation that has died is restarted if possible. The case has its result if it ends it a second time.
         """
         if self.dead or self._unsettled:
             return None
         trial = self._trial(case)
         if trial.loss is not None:
             self._recent.clear()
-            if self._restartable:
-                self._restart_sut(case)
-            else:
+            if not self._restartable:
                 self._wait_for(trial)
-            return None
+                return None
+            if self._restart_sut(case) or not trial.loss.died:
+                return None
+            result = self.tried_alone(case)
+            return result if result is not None and result.killed else None
         if (
             trial.verdict is not Verdict.PASS
             or trial.bench.restoration.restore_failure

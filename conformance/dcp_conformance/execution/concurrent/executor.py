@@ -68,8 +68,12 @@ def execute(
         try:
             _together(executor, quick, on_result)
             for case in quick:
-                repeated = case.id in executor.reasons or why_alone(case)
-                if repeated and runner.session.short_period is short:
+                if not (case.id in executor.reasons or why_alone(case)):
+                    continue
+                # After a death, too: with the configured period the rest would take several times as long.
+                runner.settle(case)
+                short.resume(lambda: runner.initial_state(sanity, used=False))
+                if runner.session.short_period is short:
                     result = runner.attempt(case)
                     if result is not None:
                         on_result(case, result)
@@ -281,8 +285,12 @@ class SideBySide:
             self._withhold()
             self.width = max(_FEW, self.width // 2)
         self._requeue([bench.case for bench in cut_off if bench.case.id not in tried])
+        self._resume()
+
+    def _resume(self) -> None:
+        """Set the short beacon period again after a restart, if it is used."""
         if self.short is not None:
-            self.short.resume(lambda: runner.initial_state(self._sanity, used=False))
+            self.short.resume(lambda: self._runner.initial_state(self._sanity, used=False))
 
     def _candidates(self, cut_off: Sequence[Bench]) -> list[Case]:
         """Return the cases that may have ended the implementation, the most likely one first.
@@ -306,6 +314,7 @@ class SideBySide:
 
     def _try(self, case: Case, on_result: Callable[[Case, CaseResult], None]) -> CaseResult | None:
         """Execute a case alone, and report its result if it passes or ends the implementation."""
+        self._resume()
         result = self._runner.tried_alone(case)
         self._passed = [each for each in self._passed if each.trial.case is not case]
         if result is None:
