@@ -404,6 +404,7 @@ class VardisModel(Oracle):
             old.max_description_length if descr is None else descr,
             old.max_repetitions if repetitions is None else repetitions,
         )
+        self._most_repetitions = max(self._most_repetitions, self._limits.max_repetitions)
         self._longest = (
             max(self._longest[0], self._limits.max_value_length),
             max(self._longest[1], self._limits.max_description_length),
@@ -626,13 +627,15 @@ class VardisModel(Oracle):
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""
         if self._lossy or not self.active:
             return
+        former = self.room.former[-1][0] if self.room.former else 0
+        changed = former > time - self._window
         for each in self.overdue(time):
-            if each.var_id in self.mine:
+            fits = self._needs(each.kind) + self.room.header <= self.room.limit
+            if each.var_id in self.mine and fits and not changed:
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
                 return
-        former = self.room.former[-1][0] if self.room.former else 0
         fits = self._needs(_SUMMARIES) + self.room.header <= self.room.limit
-        if not fits or not self.room.summaries or former > time - self._window or self.switched > time - self._window:
+        if not fits or not self.room.summaries or changed or self.switched > time - self._window:
             return
         for var_id in self.mine:
             variable = self.variables.get(var_id)
