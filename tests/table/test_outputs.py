@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import importlib
 import io
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -211,6 +213,17 @@ def test_processes_are_started_for_much_data_only(archive, tmp_path):
     assert workers([*small, str(tmp_path / "absent")], "local") == cores
 
 
+@pytest.fixture
+def occupied() -> Iterator[None]:
+    """Have something listen where the page of a Dask scheduler usually is."""
+    with socket.socket() as taken:
+        with contextlib.suppress(OSError):
+            taken.bind(("", 8787))
+            taken.listen()
+        yield
+
+
+@pytest.mark.usefixtures("occupied")
 def test_a_cluster_gives_the_same(archive, tmp_path):
     recordings = (str(archive / "1.pcap"), str(archive / "2.pcapng"))
     seen: list[int] = []

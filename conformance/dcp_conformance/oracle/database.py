@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, Literal
 
 import msgspec
@@ -11,7 +11,7 @@ from dcp_spec.constants import Features, ICType, SpecVersion
 from dcp_codec.values import Container, VarCreate, VardisRecord, VarSpec
 
 from .judgement import Expected, Finding
-from .knowledge import NEVER, Limits, Obligation, State, Variable, Version
+from .knowledge import NEVER, VERSIONS, Limits, Obligation, State, Variable, Version
 from .model import TAUGHT, processing_order
 from .queues import Order
 from .repetitions import IN_FLIGHT
@@ -107,7 +107,8 @@ class VardisModel(Oracle):
         self._longest = (limits.max_value_length, limits.max_description_length)
         self._passed: dict[int, int] = {}
         """Variables of others whose timeout has passed, with the time at which a scrubbing node has deleted them."""
-        self._armed = 0
+        self._idle = False
+        """Whether the record that is being processed found no VarUpdate of its variable in the queue."""
         self.payloads = 0
 
     # -- what the node receives ------------------------------------------------------------------------------
@@ -165,11 +166,23 @@ class VardisModel(Oracle):
 
         spec = self.variables[var_id].now.spec
         before = self._due.get((kind, var_id))
-        if kind in _ROTATED and requirement not in TAUGHT and spec is not None:
+        if kind in _ROTATED and spec is not None and (requirement not in TAUGHT or self._idle):
             self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement, frame)
         elif before is None:
             # Sent once for certain: it may have been in its queue already.
             self._due[kind, var_id] = Due(1, time, requirement, frame)
+
+    def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
+        self._idle = requirement in TAUGHT and self._surely_sent(var_id)
+        super()._arm(kind, var_id, time, frame, requirement)
+
+    def _surely_sent(self, var_id: int) -> bool:
+        """Return whether all VarUpdates of a variable were sent, so that none is in the queue."""
+        for key, one in self.variables[var_id].repetitions.items():
+            left = key[0] is _UPDATES and one.since is not None and one.counted < one.allowed
+            if left and not self._emptied(one.since or 0, one.behind):
+                return False
+        return True
 
     def _surely_queued(self, kind: ICType, var_id: int) -> bool:
         due = self._due.get((kind, var_id))
@@ -348,7 +361,7 @@ class VardisModel(Oracle):
             due = self._due.get((_COUNTED[name], var_id))
             # One payload may have been composed with the event.
             if due is not None and due.time == time and not self._latency + self.late and count < due.left - 1:
-                yield Finding((*which, *why), f"{name} of at least {due.left - 1} at once", str(count))
+                yield Finding((due.requirement, *which), f"{name} of at least {due.left - 1} at once", str(count))
                 return
 
     def _listed(self, rows: Iterable[Mapping[str, Any]], time: int) -> Iterator[Finding]:
@@ -391,6 +404,7 @@ class VardisModel(Oracle):
             old.max_description_length if descr is None else descr,
             old.max_repetitions if repetitions is None else repetitions,
         )
+        self._most_repetitions = max(self._most_repetitions, self._limits.max_repetitions)
         self._longest = (
             max(self._longest[0], self._limits.max_value_length),
             max(self._longest[1], self._limits.max_description_length),
@@ -416,8 +430,14 @@ class VardisModel(Oracle):
     ) -> Iterator[Finding]:
         """Judge a payload of ``octets`` octets, composed at ``since`` or later and received at ``time`` (ns)."""
         self.payloads += 1
-        causes = self._shown(containers)
-        since = max([since, *causes.values()])
+        causes, shown = self._shown(containers), self._shown_versions(containers)
+        # A received payload may be processed later, but all of those before it.
+        proof = max(
+            [*causes.values(), *(each for var_id, each in shown.items() if not self._own(self.variables[var_id].now))],
+            default=since,
+        )
+        composed = max(min(time - self._latency, since) - self.late, proof)
+        since = max(since, proof)
         former = [(size, count) for changed, size, count in self.room.former if changed >= since]
         most = max([self.room.most, *(size for size, _ in former)])
         summaries = max([self.room.summaries, *(count for _, count in former)])
@@ -439,15 +459,14 @@ class VardisModel(Oracle):
                 twice = next(each for each in ids if ids.count(each) > 1)
                 yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
         roomy = octets + self._needs(_CREATES) + self.room.header <= self.room.limit
-        # A received payload may be processed later.
-        waited = max(0, time - self._latency - since) + self.late
+        waited = time - self._latency - composed
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
-        for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited):
+        for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited, shown=shown):
             unasked = each.expected.startswith("no ")
             yield Finding(self._named(each.requirement, each.var_id, unasked=unasked), each.expected, each.observed)
         if not self._lossy:
             if self._in_order:
-                yield from self._ordered(groups, since, owed)
+                yield from self._ordered(groups, since, owed, shown)
             if not former:
                 free = self.room.limit - octets - self.room.header
                 yield from self._missing(groups, free, since, causes if self._whole else {})
@@ -469,6 +488,30 @@ class VardisModel(Oracle):
                         found[each.cause] = max(found.get(each.cause, each.time), each.time)
         return found
 
+    def _shown_versions(self, containers: Sequence[Container]) -> dict[int, int]:
+        """Return the variables of which a payload shows the present version, and no earlier one, with its time."""
+        found: dict[int, int] = {}
+        for record in (each for container in containers for each in container.records):
+            if record.IC_TYPE not in (_SUMMARIES, _UPDATES, _CREATES):
+                continue
+            variable = self.variables.get(_var_id(record))
+            if variable is None or variable.uncertain or not 1 < len(variable.versions) < VERSIONS:
+                continue
+            *earlier, now = variable.versions
+            if self._shows(record, now) and not any(self._shows(record, each) for each in earlier):
+                found[_var_id(record)] = now.since
+        return found
+
+    def _shows(self, record: VardisRecord, version: Version) -> bool:
+        """Return whether a node with this version of a variable could send a record about it."""
+        update = record.upd if isinstance(record, VarCreate) else record
+        if version.state != "alive" or version.seqno != getattr(update, "seqno", None):
+            return False
+        if not isinstance(record, VarCreate) or version.spec is None:
+            return True
+        mine = self._own(version) and not version.spec.creation_time
+        return mine or version.spec == record.spec
+
     def _named(self, requirement: str, var_id: int, *, unasked: bool) -> tuple[str, ...]:
         """Return the requirements of a complaint. ``unasked``: about an instruction that nothing has queued."""
         why = self.why.get(var_id, ())
@@ -485,7 +528,11 @@ class VardisModel(Oracle):
         return size + (value if kind in (_CREATES, _UPDATES) else 0) + (descr if kind is _CREATES else 0)
 
     def _ordered(
-        self, groups: Mapping[ICType, list[VardisRecord]], since: int, owed: Mapping[int, list[Obligation]]
+        self,
+        groups: Mapping[ICType, list[VardisRecord]],
+        since: int,
+        owed: Mapping[int, list[Obligation]],
+        shown: Collection[int],
     ) -> Iterator[Finding]:
         """Judge the order of the records of each container, and of those that it lacks."""
         self._order.next_payload(since)
@@ -499,9 +546,12 @@ class VardisModel(Oracle):
                 if kind is _SUMMARIES:
                     version = variable.now
                     return version.state == "alive" and variable.due == NEVER and variable.settled < since
-                return any(each.kind is kind and each.time + self.late < since for each in owed.get(var_id, ()))
+                times = [each.time for each in owed.get(var_id, ()) if each.kind is kind]
+                if due := self._due.get((kind, var_id)):
+                    times.append(due.time)
+                return any(each + self.late < since for each in times)
 
-            for passed, first, place, together in self._order.payload(kind, ids, since - self.late, queued):
+            for passed, first, place, together in self._order.payload(kind, ids, since - self.late, queued, shown):
                 which = place.requirement if place.appended is not None and place.requirement else _ROTATION[kind]
                 if kind in (_CREATES, _DELETES, _UPDATES) and place.appended is not None:
                     which = "VD-PAY-06"
@@ -513,7 +563,7 @@ class VardisModel(Oracle):
                 yield Finding(tuple(dict.fromkeys(causes)), expected, f"that of {first} first")
                 self._order.forget()
                 break
-            self._order.sent(kind, ids, since)
+            self._order.sent(kind, ids, since, shown)
 
     def _missing(
         self, groups: Mapping[ICType, list[VardisRecord]], free: int, since: int, causes: Mapping[int, int]
@@ -577,13 +627,15 @@ class VardisModel(Oracle):
         """Yield a finding for a record that is overdue at ``time``, if no payload came since its cause."""
         if self._lossy or not self.active:
             return
+        former = self.room.former[-1][0] if self.room.former else 0
+        changed = former > time - self._window
         for each in self.overdue(time):
-            if each.var_id in self.mine:
+            fits = self._needs(each.kind) + self.room.header <= self.room.limit
+            if each.var_id in self.mine and fits and not changed:
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
                 return
-        former = self.room.former[-1][0] if self.room.former else 0
         fits = self._needs(_SUMMARIES) + self.room.header <= self.room.limit
-        if not fits or not self.room.summaries or former > time - self._window or self.switched > time - self._window:
+        if not fits or not self.room.summaries or changed or self.switched > time - self._window:
             return
         for var_id in self.mine:
             variable = self.variables.get(var_id)

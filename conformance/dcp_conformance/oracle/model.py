@@ -77,6 +77,8 @@ class Model:
         self._features = features
         self._circle = Circle(seqno_width)
         self._limits = limits
+        self._most_repetitions = limits.max_repetitions
+        """The largest limit so far: a variable keeps its repCnt when the limit is lowered."""
         self._latency = latency
         self._window = window
         self._scrubbing = scrubbing if features.creation_time else None
@@ -143,7 +145,7 @@ class Model:
             # Alive or not, and of whatever creation: now it is deleted.
             self._regain(variable, time)
             variable.repetitions.clear()
-            variable.repetitions.arm(DELETION, self._limits.max_repetitions, time)
+            variable.repetitions.arm(DELETION, self._most_repetitions, time)
             self._forget(record.var_id)
             # Which creation and number is deleted is not known.
             self._become(variable, Version(time, "deleted", None, 0, b""))

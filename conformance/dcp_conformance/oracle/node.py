@@ -245,8 +245,8 @@ class NodeModel:
             if ok:
                 self.srp.submitted(dict(params["sData"]), before[1], after[1], time)
         elif method == "SRP-NeighbourTable":
-            rows = {_octets(row.get("nodeId")): row for row in result.get("neighbours", ()) if "nodeId" in row}
-            yield from self.srp.listed(rows, time)
+            rows = [(_octets(row["nodeId"]), row) for row in result.get("neighbours", ()) if "nodeId" in row]
+            yield from self.srp.listed(rows, time, after[1] - after[0])
         elif method.startswith(("RTDB-", "VD-MGMT-")):
             yield from self.vardis.confirmed(method, params, result, time)
         else:
@@ -316,7 +316,7 @@ class NodeModel:
                 except DecodeError:
                     continue
                 if isinstance(report, ExtendedSafetyData):
-                    self.srp.received(report, time, closed)
+                    self.srp.received(report, self._values(report), time, closed)
             elif prot_id == BP_PROTID_VARDIS:
                 self._hear(octets, time, closed)
 
@@ -363,14 +363,17 @@ class NodeModel:
         self._last = time
 
     def _reported(self, report: ExtendedSafetyData, sender: bytes | None, time: int) -> Iterator[Finding]:
-        names = [field.name for field in self.codec.profile.srp.safety_data]
-        data = report.s_data.as_dict().values()
-        values = {
-            name: value.hex() if isinstance(value, bytes) else value for name, value in zip(names, data, strict=True)
-        }
         stamp = self.codec.profile.types.timestamp
         since_1970 = None if stamp.epoch_ns is None else stamp.epoch_ns + stamp.nanoseconds(report.t_stamp)
-        yield from self.srp.sent(report, values, since_1970, sender, time)
+        yield from self.srp.sent(report, self._values(report), since_1970, sender, time)
+
+    def _values(self, report: ExtendedSafetyData) -> dict[str, Any]:
+        """Return the safety data of a report by the names of the profile; octets as hexadecimal digits."""
+        names = [field.name for field in self.codec.profile.srp.safety_data]
+        data = report.s_data.as_dict().values()
+        return {
+            name: value.hex() if isinstance(value, bytes) else value for name, value in zip(names, data, strict=True)
+        }
 
     def _composed(self, containers: tuple[Container, ...], octets: int, time: int) -> Iterator[Finding]:
         # A payload is composed after the one before it was sent; it waits for at most a beacon, unless it is held up.

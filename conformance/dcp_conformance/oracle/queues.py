@@ -6,7 +6,7 @@ only within bounds, so the model knows of some pairs of entries which one is ahe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from dcp_spec.constants import ICType
@@ -84,20 +84,27 @@ class Order:
             places.clear()
 
     def payload(
-        self, kind: ICType, var_ids: Sequence[int], since: int, queued: Callable[[int, int], bool]
+        self,
+        kind: ICType,
+        var_ids: Sequence[int],
+        since: int,
+        queued: Callable[[int, int], bool],
+        shown: Collection[int] = (),
     ) -> Iterator[tuple[int, int, Place, bool]]:
         """Yield (entry that was passed over, entry that came before it, place of the latter) of a container.
 
         The fourth value is whether records of one container appended both.
 
         ``since``: earliest time of the composition. ``queued`` returns whether an entry was surely queued, given its
-        identifier and that time.
+        identifier and that time. ``shown``: entries of which the payload shows that it was composed after they were
+        appended last.
         """
         places = self._places[kind]
         there = {var_id: place for place, var_id in enumerate(var_ids)}
         for var_id, position in there.items():
             mine = places.get(var_id)
-            if mine is None or (mine.renewed and mine.appended is not None and mine.appended >= since):
+            early = mine is not None and mine.renewed and mine.appended is not None and mine.appended >= since
+            if mine is None or (early and var_id not in shown):
                 # The payload may have been composed before the entry left its former place.
                 continue
             for other, place in places.items():
@@ -107,13 +114,21 @@ class Order:
                     yield other, var_id, mine, mine.container is not None and place.event == mine.event
                     break
 
-    def sent(self, kind: ICType, var_ids: Sequence[int], since: int) -> None:
-        """Record that the entries of a container composed at ``since`` or later were put at the tail, or removed."""
+    def sent(self, kind: ICType, var_ids: Sequence[int], since: int, shown: Collection[int] = ()) -> None:
+        """Record that the entries of a container composed at ``since`` or later were put at the tail, or removed.
+
+        ``shown``: see :meth:`payload`.
+        """
         places = self._places[kind]
         for position, var_id in enumerate(var_ids):
             self._count += 1
             before = places.pop(var_id, None)
-            if before is None or not before.renewed or (before.appended or since) + self._late < since:
+            if (
+                before is None
+                or not before.renewed
+                or var_id in shown
+                or (before.appended or since) + self._late < since
+            ):
                 places[var_id] = Place(None, self._count, self._payload, position)
             # Otherwise the payload may have been composed before the entry was appended.
 

@@ -6,7 +6,9 @@ age may have exceeded the timeout at any time may be there or not, until the nex
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from math import isclose
 from typing import Any
 
 import msgspec
@@ -26,6 +28,8 @@ class Report(msgspec.Struct):
     """Earliest and latest time at which the node may have received it, ns."""
     last: int
     sure: bool
+    values: Mapping[str, Any] = {}
+    """Its safety data, as :class:`Handed` has it."""
 
 
 class Handed(msgspec.Struct):
@@ -75,8 +79,13 @@ class SRPModel:
 
     # -- neighbours --------------------------------------------------------------------------------------------
 
-    def received(self, report: ExtendedSafetyData, time: int, forbidden: tuple[str, ...]) -> None:
-        """Process a report in a frame to the node; ``forbidden``: why BP must discard the frame."""
+    def received(
+        self, report: ExtendedSafetyData, values: Mapping[str, Any], time: int, forbidden: tuple[str, ...]
+    ) -> None:
+        """Process a report in a frame to the node.
+
+        ``values``: its safety data; ``forbidden``: why BP must discard the frame.
+        """
         node_id = report.node_id
         if node_id == self._own_id:
             forbidden = forbidden or ("SRP-RX-02", "SRP-NT-03")
@@ -86,7 +95,7 @@ class SRPModel:
                 self._never[node_id] = forbidden
             return
         self._never.pop(node_id, None)
-        new = Report(report.seqno, report.t_stamp, time, time + self.timing.late, not self.timing.lossy)
+        new = Report(report.seqno, report.t_stamp, time, time + self.timing.late, not self.timing.lossy, values)
         known = self.table.get(node_id, [])
         # SRP-RX-04: a report with a number that is not higher may be filtered.
         filtered = bool(known) and any(report.seqno <= each.seqno for each in known)
@@ -135,9 +144,13 @@ class SRPModel:
         self._slow, self.timeout, self._changed = max(self._slow, self.timeout), timeout, time
         self._expired = -(1 << 62)
 
-    def listed(self, rows: dict[bytes, dict[str, Any]], time: int) -> Iterator[Finding]:
-        """Judge the content of the neighbour table."""
+    def listed(self, entries: Sequence[tuple[bytes, Mapping[str, Any]]], time: int, offset: int) -> Iterator[Finding]:
+        """Judge the content of the neighbour table. ``offset``: of the wall clock to ``time``, ns."""
         self.expire(time)
+        rows = dict(entries)
+        if len(rows) < len(entries):
+            twice = next(each for each, count in Counter(node_id for node_id, _ in entries).items() if count > 1)
+            yield Finding(("SRP-NT-01",), f"one entry of {_name(twice)}", "several")
         for node_id, known in self.table.items():
             name = _name(node_id)
             row = rows.get(node_id)
@@ -153,10 +166,24 @@ class SRPModel:
             if None not in shown and not fitting:
                 wanted = " or ".join(f"seqno {each.seqno}" for each in known)
                 yield Finding(("SRP-RX-03", "SRP-RX-05"), f"{wanted} of {name}", f"seqno {shown[0]}, tStamp {shown[1]}")
+            elif fitting:
+                yield from self._content(name, row, fitting, offset)
         for node_id, reasons in list(self._never.items()):
             if node_id in rows and node_id not in self.table:
                 yield Finding(reasons, f"no entry of {_name(node_id)}", "an entry")
                 del self._never[node_id]
+
+    def _content(self, name: str, row: Mapping[str, Any], fitting: list[Report], offset: int) -> Iterator[Finding]:
+        """Judge the safety data and the time of reception of an entry."""
+        data = row.get("sData")
+        if isinstance(data, Mapping) and not any(_alike(data, each.values) for each in fitting):
+            yield Finding(("SRP-RX-03",), f"safety data {dict(fitting[-1].values)} of {name}", str(dict(data)))
+        stamp, slack = row.get("receptionTime"), self.timing.clock
+        if slack is None or type(stamp) is not int:
+            return
+        if not any(each.first - slack <= stamp - offset <= each.last + slack for each in fitting):
+            off = (stamp - offset - fitting[-1].first) // MS
+            yield Finding(("SRP-RX-03",), f"the time of reception of {name}", f"a time {off} ms later")
 
     # -- reports of the node -----------------------------------------------------------------------------------
 
@@ -241,3 +268,12 @@ class SRPModel:
 
 def _name(node_id: bytes) -> str:
     return node_id.hex(":") if len(node_id) <= 8 else node_id.decode(errors="replace")
+
+
+def _alike(shown: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
+    """Return whether safety data is the same, as far as an answer in decimal digits shows it."""
+    return all(
+        isclose(shown[name], value, rel_tol=1e-5, abs_tol=1e-5) if isinstance(value, float) else shown[name] == value
+        for name, value in values.items()
+        if type(shown.get(name)) in (int, float) or (type(shown.get(name)) is type(value))
+    )

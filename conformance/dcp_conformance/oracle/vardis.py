@@ -8,7 +8,7 @@ instructions that it must send, and whether an instruction that it sends has a c
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any, Final
 
 from dcp_spec.constants import ICType
@@ -54,11 +54,14 @@ class Oracle(Model):
         *,
         roomy: bool = False,
         waited: int = 0,
+        shown: Collection[int] = (),
     ) -> list[Complaint]:
         """Judge a payload that the node sent, and remove its instructions from those that the node must send.
 
         ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
-        ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`).
+        ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`); negative
+        if it was surely composed later. ``shown``: variables whose present version the payload shows, so that it was
+        composed after the node had that version.
         """
         complaints: list[Complaint] = []
         variables, owed, removes = self.variables, self._owed, self._features.removed_after_deletion
@@ -80,7 +83,9 @@ class Oracle(Model):
                     # Most of what a node says, and there is nothing else in it.
                     self._occur(kind)
                 else:
-                    complaints += self._judge(kind, record, variable, var_id, seqno, composed, frame, exhausted)
+                    # A version is never older than its own beginning.
+                    since = max(composed, variable.now.since + 1) if var_id in shown else composed
+                    complaints += self._judge(kind, record, variable, var_id, seqno, since, frame, exhausted)
             if removes and variable.versions[-1].state == "deleted":
                 self._remove_after_last_delete(variable, time)
         if roomy:
@@ -246,7 +251,13 @@ class Oracle(Model):
         stood = variable.repetitions.stands(key, composed)
         if stood is None:
             return False
-        armed, behind = stood
+        return self._emptied(*stood)
+
+    def _emptied(self, armed: int, behind: int) -> bool:
+        """Return whether an instruction left its queue: it was not in all roomy payloads after its last cause.
+
+        ``armed``: time of the cause in ns; ``behind``: the number of payloads after it that had the instruction.
+        """
         return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
 
     def _since(self, variable: Variable, since: int) -> list[Version]:

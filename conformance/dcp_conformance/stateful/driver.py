@@ -31,7 +31,23 @@ from dcp_conformance.oracle.node import NodeModel
 from dcp_conformance.upper_tester import Answer
 
 from .executor import Event, Executor
-from .steps import AGAIN, FAULTS, OWN, Beacon, Call, Client, Records, Report, Step, Wait, text
+from .steps import (
+    AGAIN,
+    FAULTS,
+    FILL,
+    GROUP,
+    OWN,
+    ZERO,
+    Beacon,
+    Call,
+    Client,
+    Fill,
+    Records,
+    Report,
+    Step,
+    Wait,
+    text,
+)
 
 #: Services whose octets are given as sizes.
 _SIZED: Final = ("payload", "value")
@@ -39,6 +55,9 @@ _SIZED: Final = ("payload", "value")
 _FOLLOWED: Final = re.compile(
     r"RTDB-(Read|Describe.*)|BP-(List.*|Query.*|TransmitPayload|ClearBuffer)|SRP-NeighbourTable|.*-GetParameters"
 )
+#: Sequence numbers, and octets behind the last payload, of beacons that are unusual.
+_NUMBERS: Final = {"seqno 0": 0, "seqno largest": -1}
+_PADDING: Final = {"padded": b"\xa5" * 46, "padded far": bytes(200)}
 _QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"
 _TABLE, _DESCRIBE, _ALL = "SRP-NeighbourTable", "RTDB-DescribeVariable", "RTDB-DescribeDatabase"
 
@@ -266,7 +285,8 @@ class Driver:
             params["value"] = max(params["value"], self.model.least_payload)
         for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
-                params[name] = self._octets(params[name], again=bool(params.pop(AGAIN, False))).hex()
+                again, fill = bool(params.pop(AGAIN, False)), params.pop(FILL, "")
+                params[name] = self._octets(params[name], again=again, fill=fill).hex()
         for name in ("descr", "name"):
             if isinstance(params.get(name), int):
                 params[name] = _letters(params[name])
@@ -284,8 +304,10 @@ class Driver:
         self.model.vardis.mine.add(var_id)
         return var_id
 
-    def _octets(self, size: int, *, again: bool = False) -> bytes:
+    def _octets(self, size: int, *, again: bool = False, fill: Fill = "") -> bytes:
         """Return octets that differ from those before, as far as the size allows; ``again``: the octets before."""
+        if fill:
+            return (b"\x00" if fill == "zeros" else b"\xff") * size
         self._mark += not again
         mark = self._mark.to_bytes(2, "big") if size > 1 else bytes((self._mark % 256,))
         return (mark * (size // len(mark) + 1))[:size]
@@ -294,7 +316,9 @@ class Driver:
         values: dict[str, Any] = {}
         for index, field in enumerate(self.executor.codec.profile.srp.safety_data):
             small = (7 * number + 3 * index + 1) % 100
-            values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else small
+            # All digits of a double, so that a shorter number shows.
+            value = small + 1 / 3 if field.type == "f64" else small
+            values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else value
         return values
 
     # -- looking ---------------------------------------------------------------------------------------------
@@ -367,7 +391,7 @@ class Driver:
         """Yield the blocks of the beacons of a step: several if the records do not fit into one payload."""
         blocks: list[Block] = []
         model = self.model
-        about = f", {step.fault}" if step.fault else ""
+        about = _about(step)
         for kind, group in groupby(step.blocks, key=lambda each: each.kind if isinstance(each, Records) else None):
             if kind is not None:
                 # Neighbouring records of one kind are in one container.
@@ -378,7 +402,10 @@ class Driver:
                 if isinstance(each, Client):
                     prot_id = self.protocols.setdefault(each.protocol, self.executor.names.protocol(each.protocol))
                     self._count(model.bp.client_state(prot_id), f"payload{about}")
-                    blocks += [Block(prot_id, self._octets(each.size, again=each.again)) for _ in range(each.count)]
+                    blocks += [
+                        Block(prot_id, self._octets(each.size, again=each.again, fill=each.fill))
+                        for _ in range(each.count)
+                    ]
                 elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
                     for number in range(each.neighbour, each.neighbour + each.count):
                         report = self._report(number, each.seqno, earlier=each.earlier)
@@ -406,8 +433,8 @@ class Driver:
         ):
             record = self._record(each, number)
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
-            event = f"{each.kind}, {step.fault}" if step.fault else model.vardis.event_of(each.kind, record)
-            self._count(model.vardis.state_of(var_id), event)
+            event = each.kind if step.fault else model.vardis.event_of(each.kind, record)
+            self._count(model.vardis.state_of(var_id), event + (f", {each.fill}" if each.fill else "") + _about(step))
             size = self._builder.record_size(record)
             if group and (used + size > most or len(group) == 255):
                 yield [self._builder.vardis(*group)]
@@ -424,7 +451,8 @@ class Driver:
 
     def _framed(self, step: Beacon, blocks: list[Block], sender: bytes) -> bytes | None:
         profile = self.executor.codec.profile
-        self._seqnos[step.sender] += 1
+        if step.trait != "seqno as before":
+            self._seqnos[step.sender] += 1
         network = self.model.values.get("BPPAR_NETWORK_ID")
         lies: dict[str, int | bytes] = {}
         match step.fault:
@@ -446,7 +474,12 @@ class Driver:
                 return None
         if not profile.bp.header and step.fault:
             return None
-        octets = self._builder.beacon(sender, self._seqnos[step.sender], blocks, network_id=network, lies=lies)
+        seqno = self._seqnos[step.sender]
+        if step.trait in _NUMBERS:
+            seqno = _NUMBERS[step.trait] % (1 << 8 * profile.types.bp_seqno.width)
+        octets = self._builder.beacon(sender, seqno, blocks, network_id=network, lies=lies)
+        if step.trait in _PADDING and profile.has_header_field("length"):
+            octets += _PADDING[step.trait]
         return octets if len(octets) <= profile.limits.uwb_max_packet else None
 
     def _record(self, each: Records, number: int) -> VardisRecord:
@@ -464,19 +497,27 @@ class Driver:
             case "summary":
                 return fill(VarSumm(var_id, seqno))
             case "update":
-                return fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again)))
+                return fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again, fill=each.fill)))
         fields = profile.vardis.var_spec
         producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]
         longest = (1 << 8 * profile.types.var_timeout.width) - 1
+        descr = _letters(each.descr).encode()
+        if each.fill == "zeros" and features(profile.spec_version).string_format != "nul-terminated" and descr:
+            place = len(descr) // 2
+            descr = descr[:place] + b"\x00" + descr[place + 1 :]
         spec = VarSpec(
             var_id,
             producer,
             each.repetitions,
-            _letters(each.descr).encode(),
+            descr,
             names.creation(each.creation) if "creationTime" in fields else None,
             min(each.timeout, longest) if "timeout" in fields else None,
         )
-        return fill(VarCreate(fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again)))))
+        return fill(
+            VarCreate(
+                fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again, fill=each.fill)))
+            )
+        )
 
     def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
         codec = self.executor.codec
@@ -534,6 +575,12 @@ def shorter(
             found = again
         place = min(place, len(found.steps)) - 1
     return found
+
+
+def _about(step: Beacon) -> str:
+    """Return what is wrong or unusual about a beacon, for statistics."""
+    notes = step.fault, step.trait, {GROUP: "from a group address", ZERO: "from the identifier 0"}.get(step.sender, "")
+    return "".join(f", {each}" for each in notes if each)
 
 
 def _letters(size: int) -> str:

@@ -11,6 +11,8 @@ from dcp_codec.codec import Codec
 from dcp_conformance.oracle.judgement import Timing
 from dcp_conformance.upper_tester import Answer
 
+from .steps import ZERO
+
 
 class Event(msgspec.Struct, frozen=True, gc=False):
     """A beacon of the node (``octets``), or a notification (``method``, ``params``). ``time``: ns of the tester."""
@@ -31,6 +33,11 @@ def twin(node_id: bytes) -> tuple[bytes, bytes]:
     return other, other
 
 
+def special(node_id: bytes, number: int) -> bytes:
+    """Return the identifier of ``GROUP`` or ``ZERO`` with the width of ``node_id``."""
+    return bytes(len(node_id)) if number == ZERO else bytes((node_id[0] | 1, *node_id[1:]))
+
+
 class Names(Protocol):
     """The identifiers of one run, for the numbers of a sequence."""
 
@@ -46,6 +53,7 @@ class Names(Protocol):
         """Return node identifier and link-layer address of a neighbour.
 
         0 and 1 differ in the first octets only, and ``TWIN`` from the node itself, where identifiers are addresses.
+        Where they are addresses, ``GROUP`` and ``ZERO`` are special ones.
         """
         ...
 

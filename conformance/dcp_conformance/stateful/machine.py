@@ -22,15 +22,35 @@ from dcp_conformance.oracle.knowledge import NO_CREATION
 
 from .driver import Counterexample, Driver
 from .executor import TWIN, Executor
-from .steps import AGAIN, OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
+from .steps import (
+    AGAIN,
+    FAULTS,
+    FILL,
+    GROUP,
+    OWN,
+    ZERO,
+    Beacon,
+    Call,
+    Client,
+    Fault,
+    RecordKind,
+    Records,
+    Report,
+    Step,
+    Trait,
+    Wait,
+)
 
 #: Numbers of protocols, variables and neighbours: mostly the first, since what happens twice to one finds more.
 _CLIENTS: Final = 3
 #: One of those that there are.
 WHICH: Final = st.sampled_from((0, 0, 0, 1, 2))
+#: The same, or one that there is not.
+_ABSENT: Final = -1
+ANY: Final = st.sampled_from((0, 0, 0, 0, 1, 2, _ABSENT))
 PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
 VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
-NEIGHBOURS: Final = st.sampled_from((0, 0, 0, 1, 2, TWIN))
+NEIGHBOURS: Final = st.sampled_from((0, 0, 0, 0, 0, 0, 1, 1, 2, 2, TWIN, TWIN, GROUP, ZERO))
 #: Beacon periods of a wait.
 PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
 #: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
@@ -46,6 +66,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
         "deregister",
         "register_twice",
     ),
+    "rivals": ("submit", "submit", "wait", "resize", "submit", "renew", "clear", "switch_bp"),
     "inactivity": (
         "switch_bp",
         "submit",
@@ -59,6 +80,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
         "change_period",
         "wait",
     ),
+    "streams": ("stream", "submit", "wait", "renew", "stream", "clear"),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
     "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
     "parameters": (
@@ -81,7 +103,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
     "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
     "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
-    "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
+    "limits": ("change_vardis", "create", "update", "records", "wait", "shorten", "change_vardis"),
     "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
     "variable": ("records", "records", "records", "records", "create", "update", "delete", "wait"),
     "own-variable": ("create", "update", "update", "delete", "wait", "wait", "records"),
@@ -90,7 +112,8 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
 #: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
 _ONE: Final = ("variable", "own-variable")
 _CHOSEN: Final = (
-    *THEMES, *_ONE, *("variable",) * 4, *("registrations", "sizes", "inactivity", "reception", "neighbours") * 2,
+    *THEMES, *_ONE, *("variable",) * 4,
+    *("registrations", "sizes", "rivals", "inactivity", "reception", "neighbours") * 2,
 )  # fmt: skip
 #: How a sequence about one variable begins: by whom it was created, whether it was deleted, and whether time passed.
 _BEGINNINGS: Final = tuple(
@@ -99,14 +122,15 @@ _BEGINNINGS: Final = tuple(
 )  # fmt: skip
 _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
 REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
-    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above")),
+    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above", "large")),
     "mode": st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
     "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 1, 2, 3, 4, 300, 256, 0)),
     "several": st.booleans(),
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
-_FAULTS: Final = st.sampled_from(
-    (*("",) * 24, "version", "magic", "network", "network-high", "own-sender", "no-length", "no-payloads")
+#: What is wrong or unusual about a beacon.
+_SHAPES: Final = st.sampled_from(
+    ("",) * 24 + tuple(FAULTS) + ("seqno 0", "seqno largest", "seqno as before", "padded", "padded far")
 )
 #: Parameters with values that no reading allows.
 _INVALID: Final = st.sampled_from((
@@ -116,13 +140,16 @@ _INVALID: Final = st.sampled_from((
     ("VD", "VARDISPAR_MAX_VALUE_LENGTH", 0), ("VD", "VARDISPAR_MAX_DESCRIPTION_LENGTH", 0),
     ("VD", "VARDISPAR_MAX_SUMMARIES", -1), ("VD", "VARDISPAR_SCRUBBING_PERIOD", -1),
 ))  # fmt: skip
+#: Octets of a value or payload: new ones, those before, or all the same.
+_OCTETS: Final = st.sampled_from(("",) * 9 + ("again",) * 3 + ("zeros", "ones"))
 _AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
 RECORDS: Final = (
     "create: later", "create: later", "create: later", "create: same", "create: earlier", "create: own",
     "create: no value", "create: value too long", "create: no description", "create: description too long",
-    "create: repCnt 0", "create: repCnt too large", "create: largest", "delete", "delete",
+    "create: repCnt 0", "create: repCnt too large", "create: largest", "create: group", "create: zero", "create: other",
+    "delete", "delete",
     "update: newer", "update: newer", "update: older", "update: equal", "update: opposite", "update: no value",
     "update: value too long", "update: largest", "summary: newer", "summary: older", "summary: equal",
     "summary: opposite", "ask-update: older", "ask-update: equal", "ask-update: newer", "ask-create",
@@ -202,6 +229,10 @@ class NodeMachine(RuleBasedStateMachine):
         self.theme = THEMES[theme] or tuple(ACTIONS)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
+        elif theme == "rivals" and self.has("BP-RegisterProtocol"):
+            # Payloads of which only one fits into a beacon.
+            for mode in (registration["mode"], QueueingMode.QUEUE_DROPTAIL):
+                self.register(**registration | {"size": "large", "mode": mode, "entries": 3})
         elif "register" in self.theme and self.has("BP-RegisterProtocol"):
             self.register(**registration)
 
@@ -301,15 +332,15 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(self._registration(number, **what))
 
     def _one_of(self, which: int) -> int:
-        """Return the number of a registered protocol."""
+        """Return the number of a registered protocol, or of one that is not registered."""
         there = sorted(self.registrations())
-        return there[which % len(there)]
+        return _CLIENTS if which == _ABSENT else there[which % len(there)]
 
     def _registration(
         self, number: int, size: int | str, mode: QueueingMode, entries: int, several: bool, name: int
     ) -> Call:
         largest = self.driver.model.bp.largest
-        most = largest if size == "largest" else largest + 1 if size == "above" else size
+        most = {"largest": largest, "above": largest + 1, "large": 3 * largest // 5}.get(str(size), size)
         if self._version < SpecVersion.V1_1:
             mode = QueueingMode.QUEUE if mode in _QUEUES else mode
         params: dict[str, Any] = {"protId": number, "name": name, "maxPayloadSize": most, "queueingMode": mode.value}
@@ -317,7 +348,7 @@ class NodeMachine(RuleBasedStateMachine):
             params |= {"maxEntries": entries, "allowMultiplePayloads": several}
         return Call("BP-RegisterProtocol", params)
 
-    @action(lambda self: self.registered, which=WHICH)
+    @action(lambda self: self.registered, which=ANY)
     def deregister(self, which: int) -> None:
         """Deregister a client protocol."""
         self.take(Call("BP-DeregisterProtocol", {"protId": self._one_of(which)}))
@@ -327,9 +358,9 @@ class NodeMachine(RuleBasedStateMachine):
         which=WHICH,
         size=st.sampled_from(("usual", "most", "usual", "most", "above", "usual", "one", "empty", "half")),
         times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
-        again=_AGAIN,
+        contents=_OCTETS,
     )
-    def submit(self, which: int, size: str, times: int | str, again: bool) -> None:
+    def submit(self, which: int, size: str, times: int | str, contents: str) -> None:
         """Submit payloads."""
         number = self._one_of(which)
         client = self.registrations()[number]
@@ -343,10 +374,24 @@ class NodeMachine(RuleBasedStateMachine):
         }[size]
         if times == "fill":
             times = client.entries + 1 if client.mode in _QUEUES else 2
-        params = {"protId": number, "payload": octets} | ({AGAIN: True} if again else {})
+        params = {"protId": number, "payload": octets} | _contents(contents)
         self.take(Call("BP-TransmitPayload", params, int(times)))
 
-    @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=WHICH)
+    @action(
+        lambda self: self.registered and self.executor.timing.whole,
+        which=WHICH,
+        count=st.sampled_from((30, 30, 100, 300)),
+        pause=st.sampled_from((0.4, 1.0, 0.4)),
+    )
+    def stream(self, which: int, count: int, pause: float) -> None:
+        """Submit payloads one after the other, where time costs nothing."""
+        number = self._one_of(which)
+        size = min(4, self.registrations()[number].most)
+        for _ in range(count):
+            self.take(Call("BP-TransmitPayload", {"protId": number, "payload": size}))
+            self.take(Wait(pause))
+
+    @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=ANY)
     def clear(self, which: int) -> None:
         """Clear the buffer of a client protocol."""
         self.take(Call("BP-ClearBuffer", {"protId": self._one_of(which)}))
@@ -363,15 +408,15 @@ class NodeMachine(RuleBasedStateMachine):
         number=PROTOCOLS,
         size=st.sampled_from((4, 1, 20, 0)),
         count=st.sampled_from((1, 1, 1, 1, 2, 140)),
-        again=_AGAIN,
-        fault=_FAULTS,
+        octets=_OCTETS,
+        shape=_SHAPES,
     )
-    def payload(self, sender: int, number: int, size: int, count: int, again: bool, fault: Any) -> None:
+    def payload(self, sender: int, number: int, size: int, count: int, octets: str, shape: str) -> None:
         """Send payloads to a client protocol, several times in faulty beacons."""
         # An empty block does not hide the next one.
         beside = (Client(number, 4),) if not size else ()
-        for _ in range(4 if fault else 1):
-            self.take(Beacon(sender, (Client(number, size, count, again), *beside), fault))
+        for _ in range(4 if shape in FAULTS else 1):
+            self.take(_beacon(sender, (Client(number, size, count, **_contents(octets)), *beside), shape))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -388,9 +433,12 @@ class NodeMachine(RuleBasedStateMachine):
         if size != model.values["BPPAR_MAXIMUM_PACKET_SIZE"]:
             self._set("BP", "BPPAR_MAXIMUM_PACKET_SIZE", size)
 
-    @action(lambda self: self.has("BP-SetParameter") and self.executor.alone, factor=st.sampled_from((1, 2, 4, 0.5)))
+    @action(
+        lambda self: self.has("BP-SetParameter") and self.executor.alone, factor=st.sampled_from((1, 2, 4, 0.5, 700))
+    )
     def change_period(self, factor: float) -> None:
-        """Set the beacon period."""
+        """Set the beacon period, beyond 16 bits where time costs nothing."""
+        factor = min(factor, 700 if self.executor.timing.whole else 4)
         self._set("BP", "BPPAR_BEACON_PERIOD", int(self.driver.initial["BPPAR_BEACON_PERIOD"] * factor) or 1)
 
     @action(lambda self: self.executor.alone, invalid=_INVALID)
@@ -412,7 +460,7 @@ class NodeMachine(RuleBasedStateMachine):
 
     @action(
         lambda self: self.has("SRP-SetParameter") and self.executor.alone,
-        value=st.sampled_from((3000, 1000, 300, 20000, 70000)),
+        value=st.sampled_from((3000, 1000, 300, 20000, 40000, 65535, 70000)),
     )
     def change_neighbour_timeout(self, value: int) -> None:
         """Set the timeout of neighbours."""
@@ -438,6 +486,12 @@ class NodeMachine(RuleBasedStateMachine):
             number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
         number = model.bounded(name, number)
         self._set("VD", name, number)
+
+    @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
+    def shorten(self) -> None:
+        """Set the limits of a variable below what the node holds."""
+        for what in ("VALUE_LENGTH", "DESCRIPTION_LENGTH", "REPETITIONS"):
+            self._set("VD", f"VARDISPAR_MAX_{what}", 1)
 
     @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
     def narrow(self) -> None:
@@ -468,25 +522,25 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.has("SRP-NeighbourTable"),
         sender=NEIGHBOURS,
-        neighbour=st.sampled_from((0, 0, 1, 2, 3, OWN)),
+        neighbour=st.sampled_from((0, 0, 0, 0, 1, 1, 2, 2, 3, 3, OWN, OWN, GROUP, ZERO)),
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
         earlier=st.sampled_from((False, False, False, True)),
         excess=st.sampled_from((0,) * 14 + (1, -1)),
         beside=st.sampled_from((None,) * 8 + (0, 1, 2)),
-        fault=_FAULTS,
+        shape=_SHAPES,
     )
     def report(
         self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, excess: int, beside: int | None,
-        fault: Any,
+        shape: str,
     ) -> None:  # fmt: skip
         """Send state reports, sometimes two in a beacon."""
-        reports = [Report(neighbour, seqno, 1 if neighbour == OWN else count, earlier, excess)]
+        reports = [Report(neighbour, seqno, 1 if neighbour < 0 else count, earlier, excess)]
         if beside is not None and count == 1 and beside != neighbour:
             reports.append(Report(beside, seqno))
         # A record that is discarded must not prolong an entry, however often it comes.
         for _ in range(3 if excess else 1):
-            self.take(Beacon(sender, tuple(reports), fault))
+            self.take(_beacon(sender, tuple(reports), shape))
             if excess:
                 self.take(Wait(round(0.5 * self.driver.model.srp.timeout / self.executor.timing.period, 1)))
 
@@ -518,12 +572,12 @@ class NodeMachine(RuleBasedStateMachine):
         number=VARIABLES,
         size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
         times=st.sampled_from((1,) * 12 + (2,) * 6 + (260,)),
-        again=_AGAIN,
+        octets=_OCTETS,
     )
-    def update(self, number: int, size: int | str, times: int, again: bool) -> None:
+    def update(self, number: int, size: int | str, times: int, octets: str) -> None:
         """Update a variable."""
         params = {"varId": self._variable(number), "value": self._limit(size, "VALUE_LENGTH")}
-        params |= {AGAIN: True} if again else {}
+        params |= _contents(octets)
         self.take(Call("RTDB-Update", params, times))
 
     @action(lambda self: self._vardis, number=VARIABLES)
@@ -548,25 +602,25 @@ class NodeMachine(RuleBasedStateMachine):
                 st.sampled_from((1, 1, 1, 2, "quarter", "most")),
                 st.sampled_from((1, 1, "most", "most")),
                 _TIMEOUTS,
-                _AGAIN,
+                _OCTETS,
             ),
             min_size=1,
             max_size=3,
         ),
-        fault=_FAULTS,
+        shape=_SHAPES,
     )
-    def records(self, sender: int, number: int, events: list[Any], fault: Any) -> None:
+    def records(self, sender: int, number: int, events: list[Any], shape: str) -> None:
         """Send instructions, mostly about one variable, each with at most one flaw."""
         blocks = [
             self._record(
-                event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout, again
+                event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout, octets
             )
-            for event, further, far, repetitions, timeout, again in events
+            for event, further, far, repetitions, timeout, octets in events
         ]
-        self.take(Beacon(sender, tuple(blocks), fault))
+        self.take(_beacon(sender, tuple(blocks), shape))
 
     def _record(
-        self, event: str, number: int, far: int | str, repetitions: int, timeout: int, again: bool = False
+        self, event: str, number: int, far: int | str, repetitions: int, timeout: int, octets: str = ""
     ) -> Records:
         """Return a record that is related as ``event`` says to what the node holds.
 
@@ -591,8 +645,8 @@ class NodeMachine(RuleBasedStateMachine):
             repetitions = 0 if what == "repCnt 0" else self._limit("above", "REPETITIONS")
         return Records(
             cast("RecordKind", kind), number, 1, seqno % circle, self._limit(size, "VALUE_LENGTH"),
-            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions, OWN if what == "own" else 0, creation, timeout,
-            again,
+            self._limit(descr, "DESCRIPTION_LENGTH"), repetitions,
+            {"own": OWN, "group": GROUP, "zero": ZERO, "other": 1}.get(what, 0), creation, timeout, **_contents(octets),
         )  # fmt: skip
 
     @action(
@@ -638,3 +692,15 @@ class NodeMachine(RuleBasedStateMachine):
     def wait(self, periods: float) -> None:
         """Let time pass."""
         self.take(Wait(periods))
+
+
+def _beacon(sender: int, blocks: tuple[Records | Report | Client, ...], shape: str) -> Beacon:
+    """Return a beacon with a fault or an unusual trait."""
+    if shape in FAULTS:
+        return Beacon(sender, blocks, fault=cast("Fault", shape))
+    return Beacon(sender, blocks, trait=cast("Trait", shape))
+
+
+def _contents(octets: str) -> dict[str, Any]:
+    """Return the parameters of a call, or fields of a block, for these octets."""
+    return {AGAIN: True} if octets == "again" else {FILL: octets} if octets else {}

@@ -10,7 +10,8 @@ from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer
 
-from .executor import TWIN, Event, twin
+from .executor import TWIN, Event, special, twin
+from .steps import GROUP
 
 #: Longest duration of a call in ns with which the state is queried after each step.
 _QUICK: Final = 20 * MS
@@ -57,6 +58,9 @@ class BenchNames:
             if number in (1, TWIN) and node_id == address:
                 other = self.neighbour(0)[0] if number == 1 else self._bench.identifiers.sut_id
                 self._neighbours[number] = twin(other) if len(other) == len(node_id) else (node_id, address)
+            elif number == GROUP and node_id == address:
+                # Another case may use the identifier 0 at the same time: ZERO is any other neighbour here.
+                self._neighbours[number] = special(node_id, number), address
         return self._neighbours[number]
 
     def creation(self, number: int) -> int:

@@ -18,10 +18,18 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
     "own-sender": ("BP-RX-06",),
     "no-length": ("BP-RX-03",), "no-payloads": ("BP-RX-04",),
 }  # fmt: skip
-#: Parameter of a call: its octets are those of the call or payload before.
+Trait = Literal["", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far"]
+"""What is unusual about a beacon that a receiver must process like any other (BP-RX-10, BP-RX-14)."""
+Fill = Literal["", "zeros", "ones"]
+"""Octets of a value: all 0x00 (also one in the middle of the description), or all 0xFF."""
+#: Parameters of a call: its octets are those of the call or payload before, or all the same.
 AGAIN: Final = "again"
+FILL: Final = "fill"
 #: The producer of a record that is the node itself.
 OWN: Final = -1
+#: Neighbours whose identifier is that of a group of addresses, and all zero.
+GROUP: Final = -2
+ZERO: Final = -3
 
 
 class Call(msgspec.Struct, frozen=True, omit_defaults=True, tag="call"):
@@ -50,6 +58,7 @@ class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):
     timeout: int = 0
     again: bool = False
     """True to send the same octets as in the previous value."""
+    fill: Fill = ""
 
 
 class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
@@ -72,6 +81,7 @@ class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
     count: int = 1
     again: bool = False
     """True to send the same octets as in the previous payload."""
+    fill: Fill = ""
 
 
 class Beacon(msgspec.Struct, frozen=True, omit_defaults=True, tag="beacon"):
@@ -80,6 +90,7 @@ class Beacon(msgspec.Struct, frozen=True, omit_defaults=True, tag="beacon"):
     sender: int
     blocks: tuple[Records | Report | Client, ...]
     fault: Fault = ""
+    trait: Trait = ""
 
 
 class Wait(msgspec.Struct, frozen=True, omit_defaults=True, tag="wait"):
@@ -99,25 +110,35 @@ def text(step: Step) -> str:
         shown = ", ".join(f"{name}={value}" for name, value in step.params.items())
         return f"{step.method}({shown})" + (f" {step.times} times" if step.times > 1 else "")
     blocks = ", ".join(map(_block, step.blocks))
-    return f"beacon of neighbour {step.sender}: {blocks}" + (f" (fault: {step.fault})" if step.fault else "")
+    notes = [f"fault: {step.fault}"] * bool(step.fault) + [step.trait] * bool(step.trait)
+    return f"beacon of {_node(step.sender)}: {blocks}" + (f" ({', '.join(notes)})" if notes else "")
+
+
+def _node(number: int) -> str:
+    names = {OWN: "the node itself", GROUP: "a neighbour with a group address as its identifier"}
+    names[ZERO] = "a neighbour with the identifier 0"
+    return names.get(number, f"neighbour {number}")
 
 
 def _block(block: Records | Report | Client) -> str:
     if isinstance(block, Client):
         several = f"{block.count} times " if block.count > 1 else ""
-        return f"{several}{block.size} octets for protocol {block.protocol}{', as before' if block.again else ''}"
+        return f"{several}{block.size} octets for protocol {block.protocol}{_octets(block)}"
     if isinstance(block, Report):
         last = "" if block.count == 1 else f" to {block.neighbour + block.count - 1}"
-        who = "the node itself" if block.neighbour == OWN else f"neighbour {block.neighbour}{last}"
-        return f"report of {who}, seqno {block.seqno}{', with an earlier tStamp' if block.earlier else ''}" + (
-            f", {block.excess:+} octets" if block.excess else ""
-        )
+        more = ", with an earlier tStamp" if block.earlier else ""
+        more += f", {block.excess:+} octets" if block.excess else ""
+        return f"report of {_node(block.neighbour)}{last}, seqno {block.seqno}{more}"
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):
-        more += f", {block.size} octets{', as before' if block.again else ''}"
+        more += f", {block.size} octets{_octets(block)}"
     if block.kind == "create":
-        producer = "the node itself" if block.producer == OWN else f"neighbour {block.producer}"
-        more += f", descr {block.descr} octets, repCnt {block.repetitions}, created by {producer} at {block.creation}"
+        by = f"created by {_node(block.producer)} at {block.creation}"
+        more += f", descr {block.descr} octets, repCnt {block.repetitions}, {by}"
         more += f", timeout {block.timeout} ms" if block.timeout else ""
     return f"{block.kind} of variable {which}{more}"
+
+
+def _octets(block: Records | Client) -> str:
+    return f"{', as before' if block.again else ''}{f', all {block.fill}' if block.fill else ''}"

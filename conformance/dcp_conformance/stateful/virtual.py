@@ -10,7 +10,8 @@ from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUppe
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.config import NodeConfig
 
-from .executor import TWIN, Event, twin
+from .executor import TWIN, Event, special, twin
+from .steps import OWN
 
 #: Identifiers in which counters, signs and table indices are likely to fail, then the others.
 _EDGES: Final = (1, 0, 127, 128, 255, 2)
@@ -43,6 +44,9 @@ class VirtualNames:
 
     def neighbour(self, number: int) -> tuple[bytes, bytes]:
         """Return node identifier and address of a neighbour."""
+        if number < OWN:
+            node_id, address = named(self._profile, -number)
+            return special(node_id, number) if node_id == address else node_id, address
         return twin(self._own_id) if number == TWIN and len(self._own_id) == 6 else named(self._profile, number)
 
     def creation(self, number: int) -> int:

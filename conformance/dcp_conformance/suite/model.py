@@ -29,9 +29,7 @@ def _variants() -> dict[str, Variant]:
     for each in corpus().sequences:
         counts[each.theme] += 1
         name = f"{each.theme}-{counts[each.theme]:02}"
-        # Without a reset, a crowd of variables leaves too few identifiers of one octet to other cases.
-        methods = (*each.methods, "UT-Reset") if each.theme == "crowds" else each.methods
-        needs = Needs(ut=methods, entities=(), when=_limits)
+        needs = Needs(ut=each.methods, entities=(), when=_limits)
         found[name] = Variant(each, requirements=" ".join(each.requirements), needs=needs)
     return found
 

@@ -52,8 +52,10 @@ class Probes:
         """
         question, identifiers = self._run.known.question, self._identifiers
         if question == "summary" and identifiers.created and not identifiers.has_unknown_ids():
-            # A full database requests no further variable (X43).
-            question = "request"
+            # A full database requests no further variable (X43). The answer to a request for a variable of the case
+            # would look like a reaction to what the case did before.
+            spare = identifiers.spare_var_id()
+            return self.ask("request", periods) if spare is None else self._creates(spare, periods)
         return self.ask(question, periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:
@@ -63,14 +65,14 @@ class Probes:
         (VD-PC-09); a request for an older one is not an answer. ``request``: the VarCreate of a variable that the
         tester has created, or a request for an unknown one (VD-RC-01, VD-RC-03).
         """
-        identifiers, peer = self._identifiers, self._peers.new()
+        identifiers = self._identifiers
+        if kind == "create":
+            return self._creates(identifiers.var_id(), periods)
+        peer = self._peers.new()
         if kind == "summary":
             var_id = identifiers.unknown_id()
             peer.send(peer.summary(var_id, 1))
             return self._waiting.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
-        if kind == "create":
-            peer.send(peer.create(identifiers.var_id()))
-            return self._waiting.until(self._forwards, periods) is not None
         unknown = identifiers.unknown_ids(1) if identifiers.has_unknown_ids() else ()
         wanted = [*sorted(identifiers.created)[:1], *unknown]
         peer.send(*map(peer.request_create, wanted))
@@ -79,6 +81,12 @@ class Probes:
             return self._forwards(heard) or any(heard.about(ICType.REQUEST_VARCREATES, each) for each in wanted)
 
         return bool(wanted) and self._waiting.until(answered, periods) is not None
+
+    def _creates(self, var_id: int, periods: float | None) -> bool:
+        """Send a VarCreate, and return whether the implementation forwards it in time."""
+        peer = self._peers.new()
+        peer.send(peer.create(var_id))
+        return self._waiting.until_instruction(ICType.CREATE_VARIABLES, var_id, periods) is not None
 
     def _forwards(self, heard: ReceivedBeacon) -> bool:
         """Return whether a beacon has a VarCreate of one of the case's peers."""

@@ -80,16 +80,21 @@ class Identifiers:
         From 2.0 on it may have been used by peers in earlier cases: a case that needs an unknown variable uses
         :meth:`unknown_id`. Raises ``NamesUsedUp``.
         """
+        number = self.spare_var_id()
+        if number is None:
+            self._no_variables_left("an identifier for a variable of a peer")
+        return number
+
+    def spare_var_id(self) -> int | None:
+        """Return what :meth:`var_id` does, or None if no identifier is left."""
         run, now = self._run, self._clock.now()
         # Up to 1.3 one range serves both: an identifier used as unknown must not become a variable of the case.
         for without in (self.created | self.called_unknown, self.created):
             number = self._pool.for_peer(now, run.creation_time + 1, without, reuse=not run.renewable)
             if number is not None:
-                break
-        if number is None:
-            self._no_variables_left("an identifier for a variable of a peer")
-        self.created.add(number)
-        return number
+                self.created.add(number)
+                return number
+        return None
 
     def var_ids(self, count: int) -> list[int]:
         """Return several identifiers for variables of peers, ascending unless the range ends in between."""
