@@ -37,7 +37,10 @@ def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, adv
     with ExitStack() as stack:
         if scheduler is None:
             cluster = distributed.LocalCluster(
-                n_workers=min(workers, len(jobs)), threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+                n_workers=min(workers, len(jobs)),
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=50,
             )
             client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
         else:
