@@ -380,7 +380,7 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.registered and self.executor.timing.whole,
         which=WHICH,
-        count=st.sampled_from((30, 30, 100, 300)),
+        count=st.sampled_from((12, 12, 30, 100)),
         pause=st.sampled_from((0.4, 1.0, 0.4)),
     )
     def stream(self, which: int, count: int, pause: float) -> None:
