@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
@@ -62,6 +62,8 @@ _COLUMNS = (
 )
 #: Seconds between two lines about the progress of a run without a progress bar.
 _MINUTE = 60.0
+#: Number of earlier lines since which the pace is measured for the estimate of the remaining time.
+_LOOKED_AT = 2
 #: Maximum number of frames that are named for one check.
 _FRAMES = 8
 #: Maximum number of failed checks that are shown for one case.
@@ -118,12 +120,15 @@ class Minutes:
         self._total = self._done = 0
         self._last = ""
         self._began = clock()
+        self._before = deque([(self._began, 0)], maxlen=_LOOKED_AT)
+        """Times of the last lines, and how many units were completed then."""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._print, daemon=True)
 
     def start(self, total: int) -> None:
         """Begin a run of so many units."""
         self._total, self._began = total, self._clock()
+        self._before = deque([(self._began, 0)], maxlen=_LOOKED_AT)
 
     def done(self, name: str) -> None:
         """Count a unit."""
@@ -132,10 +137,15 @@ class Minutes:
 
     def line(self) -> str:
         """Return how far the run is, the estimated seconds that are left, and the last completed unit."""
-        passed = self._clock() - self._began
-        text = f"{self._done} of {self._total} {self._unit} after {passed:.0f} s"
-        if self._done:
-            left = passed * max(0, self._total - self._done) / self._done
+        now, done = self._clock(), self._done
+        text = f"{done} of {self._total} {self._unit} after {now - self._began:.0f} s"
+        # A run becomes slower: at first many cases are executed side by side.
+        begun, before = self._before[0]
+        self._before.append((now, done))
+        if done == before > 0:
+            text += f", none completed for {now - begun:.0f} s; last completed: {self._last}"
+        elif done:
+            left = (now - begun) * max(0, self._total - done) / (done - before)
             text += f", about {left:.0f} s left; last completed: {self._last}"
         return text
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 
 import pytest
@@ -20,6 +21,23 @@ def test_the_line_has_the_time_that_is_left_and_the_last_case() -> None:
     for number in range(50):
         minutes.done(f"TC_{number}")
     assert minutes.line() == "50 of 200 cases after 60 s, about 180 s left; last completed: TC_49"
+
+
+def test_the_remaining_time_is_estimated_from_the_last_two_minutes() -> None:
+    """The first cases of a run are executed side by side, and the last ones alone."""
+    clock = itertools.count(0, 60)
+    minutes = Minutes("cases", print, clock=lambda: next(clock))
+    clock = itertools.count(0, 60)
+    minutes.start(1000)
+    left = []
+    for cases in (600, 60, 30, 30, 0, 0):
+        for _ in range(cases):
+            minutes.done("TC")
+        left.append(minutes.line().partition(", ")[2].removesuffix("; last completed: TC"))
+    assert left == [
+        *("about 40 s left", "about 62 s left", "about 413 s left", "about 560 s left", "about 1120 s left"),
+        "none completed for 120 s",
+    ]
 
 
 def test_it_is_printed_while_nothing_is_completed(monkeypatch: pytest.MonkeyPatch) -> None:
