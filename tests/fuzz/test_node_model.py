@@ -12,14 +12,21 @@ from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node,
 from dcp_conformance.stateful.corpus import corpus
 from dcp_conformance.stateful.driver import Counterexample, Driver
 from dcp_conformance.stateful.search import search
-from dcp_conformance.stateful.steps import Beacon, Call, Records, Report, Step, Wait
+from dcp_conformance.stateful.steps import GROUP, ZERO, Beacon, Call, Client, Records, Report, Step, Wait, text
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
+from dcp_selftest.mutants.mutant import maker, node_with
 
 from dcp_codec.codec import get_codec
+from dcp_codec.values import VarReqUpdate
 from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.bp.receive import Receiver as BPReceiver
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import PayloadTransmitted
+from dcp_stack.srp.neighbour_table import NeighbourTable
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.database import Database
+from dcp_stack.vardis.receive import Receiver
 
 CONFIG = reference_config(get_codec("dcp-2.0"))
 DROPTAIL = "BP_QMODE_QUEUE_DROPTAIL"
@@ -212,3 +219,168 @@ def test_both_reports_of_a_beacon_are_expected() -> None:
     both = Beacon(0, (Report(0, 5), Report(1, 5)))
     assert judged(both) == ()
     assert "SRP-RX-03" in judged(both, make=all_mutants()["M-SRP-RX-03-first-of-beacon"].make)
+
+
+def creating(variable: int, creation: int, *, seqno: int = 1, repetitions: int = 1, **more: Any) -> Records:
+    """Return a VarCreate of a neighbour's variable."""
+    return Records("create", variable, 1, seqno, 2, 3, repetitions, 0, creation, **more)
+
+
+def setting(name: str, value: int) -> Call:
+    """Return a change of a parameter of VarDis."""
+    return Call("VD-SetParameter", {"name": f"VARDISPAR_{name}", "value": value})
+
+
+class FirstNumber(Composer):
+    """Requests updates with the number that the variable had at first."""
+
+    def _take(self, kind, var_id):
+        record = super()._take(kind, var_id)
+        return VarReqUpdate(var_id, 1) if isinstance(record, VarReqUpdate) else record
+
+
+class KeptRequest(Database):
+    """Keeps a request for an update when the variable is created again."""
+
+    def insert(self, spec, value, seqno, *, now, wall):
+        pending = spec.var_id in self.req_upd_q
+        entry = super().insert(spec, value, seqno, now=now, wall=wall)
+        if pending:
+            self.req_upd_q.append(spec.var_id)
+        return entry
+
+
+class KeptPlace(Database):
+    """Leaves a variable at its place in createQ when it is created again."""
+
+    def insert(self, spec, value, seqno, *, now, wall):
+        before = list(self.create_q)
+        entry = super().insert(spec, value, seqno, now=now, wall=wall)
+        if spec.var_id in before:
+            self.create_q.clear()
+            for each in before:
+                self.create_q.append(each)
+        return entry
+
+
+class OneAnswer(Receiver):
+    """Answers an older number once, whatever repCnt is."""
+
+    def _summary(self, record, offset):
+        super()._summary(record, offset)
+        if record.var_id in self._database.update_q:
+            self._database.entries[record.var_id].count_update = 1
+
+
+_CREATED_AGAIN = Call("RTDB-Create", {"varId": 0, "repCnt": 15, "descr": 3, "value": 2, "timeout": 0})
+
+
+@pytest.mark.parametrize(
+    ("fault", "steps", "requirement"),
+    [
+        pytest.param(
+            FirstNumber,
+            (
+                Beacon(0, (creating(0, 1),)), Wait(2), Beacon(0, (Records("summary", 0, 1, 9),)),
+                Beacon(0, (Records("update", 0, 1, 5),)), Beacon(0, (Records("summary", 0, 1, 9),)), Wait(3),
+            ),
+            "VD-PS-04", id="outdated number in a request", marks=pytest.mark.req("VD-PS-04"),
+        ),
+        pytest.param(
+            KeptRequest,
+            (
+                Beacon(0, (creating(0, 1),)), Wait(2), Beacon(0, (Records("summary", 0, 1, 9),)),
+                Beacon(0, (creating(0, 2),)), Wait(3),
+            ),
+            "VD-SCP-01", id="request of an earlier creation", marks=pytest.mark.req("VD-PC-08"),
+        ),
+        pytest.param(
+            OneAnswer,
+            (
+                Beacon(0, (creating(0, 1, seqno=9, repetitions=3),)), Wait(9),
+                Beacon(0, (Records("summary", 0, 1, 5),)), Wait(9),
+            ),
+            "VD-PS-03", id="one answer to an older number", marks=pytest.mark.req("VD-PS-03"),
+        ),
+        pytest.param(
+            KeptPlace,
+            (
+                _CREATED_AGAIN, Call("RTDB-Create", _CREATED_AGAIN.params | {"varId": 1}), Wait(3),
+                _CREATED_AGAIN, Wait(3),
+            ),
+            "VD-PAY-06", id="place in createQ", marks=pytest.mark.req("VD-CRE-11"),
+        ),
+    ],
+)  # fmt: skip
+def test_a_payload_shows_when_it_was_composed(fault: type, steps: tuple[Step, ...], requirement: str) -> None:
+    assert judged(*steps) == ()
+    assert requirement in judged(*steps, make=maker(node_with(fault)))
+
+
+@pytest.mark.req("VD-PAR-01")
+def test_a_lowered_limit_does_not_bound_what_the_node_holds() -> None:
+    # After its timeout it may be deleted or not (X26), and its VarDeletes have the repCnt that it was created with.
+    old = Beacon(0, (creating(0, 1, repetitions=15, timeout=300),))
+    deleted = Beacon(0, (Records("delete", 0),))
+    assert judged(old, Wait(3.5), setting("MAX_REPETITIONS", 1), deleted, Wait(25)) == ()
+    lengths = (setting("MAX_VALUE_LENGTH", 1), setting("MAX_DESCRIPTION_LENGTH", 1), setting("MAX_SUMMARIES", 0))
+    assert judged(_CREATED_AGAIN, *lengths, setting("MAX_PAYLOAD_SIZE", 0), Wait(25)) == ()
+
+
+class TwiceListed(NeighbourTable):
+    """Lists entries twice."""
+
+    def __iter__(self):
+        yield from super().__iter__()
+        yield from super().__iter__()
+
+
+class LateTable(NeighbourTable):
+    """Enters reports with a later time of reception."""
+
+    def record(self, report, sender_id, *, now, wall):
+        return super().record(report, sender_id, now=now, wall=wall + 300_000_000)
+
+
+@pytest.mark.req("SRP-NT-01", "SRP-RX-03")
+@pytest.mark.parametrize(("fault", "requirement"), [(TwiceListed, "SRP-NT-01"), (LateTable, "SRP-RX-03")])
+def test_the_entries_of_the_neighbour_table_are_compared(fault: type, requirement: str) -> None:
+    steps = (Beacon(0, (Report(0, 5),)), Beacon(1, (Report(1, 6),)), Wait(2))
+    assert judged(*steps) == ()
+    assert requirement in judged(*steps, make=maker(node_with(fault)))
+
+
+class Picky(BPReceiver):
+    """Drops beacons with unusual numbers, padding or senders, which it must take."""
+
+    def receive(self, octets, now):
+        length = 18 + int.from_bytes(octets[11:13], "big")
+        unusual = octets[3] & 1 or not any(octets[3:9]) or octets[14:18] in (bytes(4), b"\xff" * 4)
+        if not unusual and len(octets) == length:
+            super().receive(octets, now)
+
+
+@pytest.mark.req("BP-RX-07", "BP-RX-10", "BP-RX-14")
+@pytest.mark.parametrize(
+    "beacon",
+    [
+        *(
+            Beacon(0, (Report(0, 5),), trait=each)
+            for each in ("seqno 0", "seqno largest", "padded", "padded far")
+        ),
+        Beacon(GROUP, (Report(0, 5),)),
+        Beacon(ZERO, (Report(0, 5),)),
+    ],
+    ids=text,
+)  # fmt: skip
+def test_unusual_beacons_are_to_be_received(beacon: Beacon) -> None:
+    assert judged(beacon) == ()
+    assert "SRP-RX-03" in judged(beacon, make=maker(node_with(Picky)))
+
+
+@pytest.mark.req("BP-QM-05")
+def test_values_of_equal_octets_are_judged_like_others() -> None:
+    fills = [Beacon(0, (Client(0, 4, fill=each), creating(0, place, fill=each)))
+             for place, each in enumerate(("zeros", "ones"), 1)]  # fmt: skip
+    repeated = Call("BP-TransmitPayload", {"protId": 0, "payload": 4, "fill": "zeros"})
+    assert judged(registering(2, mode="BP_QMODE_REPEAT"), *fills, repeated, Wait(3), repeated, Wait(3)) == ()

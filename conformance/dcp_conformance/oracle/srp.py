@@ -183,7 +183,7 @@ class SRPModel:
             return
         if not any(each.first - slack <= stamp - offset <= each.last + slack for each in fitting):
             off = (stamp - offset - fitting[-1].first) // MS
-            yield Finding(("SRP-RX-03",), f"the time of reception of {name}", f"a time {off} ms later")
+            yield Finding(("SRP-RX-03", "SRP-RUN-02"), f"the time of reception of {name}", f"a time {off} ms later")
 
     # -- reports of the node -----------------------------------------------------------------------------------
 
