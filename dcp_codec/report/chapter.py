@@ -81,6 +81,8 @@ def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
     if outcome.frames > outcome.other:
         facts.append(("from", stamp(time.first_ns)))
         facts.append(("to", stamp(time.last_ns)))
+    if recorded.transmissions_only:
+        facts.append(("note", f"Losses are unknown: {NO_LOSSES}."))
     return facts
 
 
@@ -127,8 +129,6 @@ def _problems(recorded: Recorded, steps: Steps) -> list[str]:
         found.append(f"There are no DCP frames of profile {outcome.profile} in this recording. {there}")
     elif outcome.other:
         found.append(f"{outcome.other:,} of {outcome.frames:,} frames are not DCP.")
-    if recorded.transmissions_only:
-        found.append(f"Losses are unknown: {NO_LOSSES}.")
     if steps.back.any():
         found.append(
             "Time goes back in this recording: the clock of the recorder was set. Rates, ages, delays and the order of "

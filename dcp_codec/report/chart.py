@@ -33,6 +33,8 @@ from dcp_codec.common.pages.colours import DASHES, SYMBOLS, light, series_colour
 
 from .recorded import Column
 
+#: Least distance between two labels of a time axis, in pixels.
+_BETWEEN_LABELS = 10
 _FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
 _TEXT = {"text_color": light("ink"), "text_font": _FONT}
 _LABEL = {"label_text_color": light("ink"), "label_text_font": _FONT}
@@ -172,7 +174,9 @@ class Chart:
             )  # fmt: skip
             self.figure.add_layout(
                 TimedeltaAxis(
-                    formatter=formats, axis_label="time since the first frame", major_label_policy=NoOverlap()
+                    formatter=formats,
+                    axis_label="time since the first frame",
+                    major_label_policy=NoOverlap(min_distance=_BETWEEN_LABELS),
                 ),
                 "below",
             )
