@@ -10,8 +10,10 @@ from typing import Any
 
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.srp.soft_state import brief_timeout
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
+from dcp_conformance.test_steps.bp_clients import CLEAR, DEREGISTER, QUERY, unused_protocol_id
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_steps.state_reports import Reporter
@@ -22,6 +24,12 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 _UPDATE = "SRP-UpdateSafetyData"
 _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 V1_2 = SpecVersion.V1_2
+
+
+def _refused(method: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
+    return Needs(since=since, ut=(_UPDATE, method), entities=("srp",))
+
+
 #: Fields of an entry that the specification names, without the time of reception.
 _FIELDS = ("sData", "tStamp", "seqno")
 
@@ -286,3 +294,29 @@ def any_number(bench: Bench, seqno: int) -> None:
     peer.send(bench.records.report(peer.node_id, seqno))
     entry = bench.required(until_neighbour(bench, peer.node_id), "an entry of the neighbour", "SRP-RX-03")
     bench.answered(entry.get("seqno"), seqno, "seqno")
+
+
+@case(
+    "TC_SRP_SRV_BO_03",
+    "A BP request for an unknown protocol does not remove a report that waits ({variant})",
+    requirements="SRP-SRV-04",
+    stimulus="between two beacons, safety data are submitted and {variant} is requested for an unregistered protocol",
+    expect="a beacon with the report",
+    window=12,
+    variants={
+        CLEAR: Variant(CLEAR, requirements="BP-CLR-01 SRP-SRV-04", needs=_refused(CLEAR, SpecVersion.V1_1)),
+        DEREGISTER: Variant(DEREGISTER, requirements="BP-DRG-01 SRP-SRV-04", needs=_refused(DEREGISTER)),
+        QUERY: Variant(QUERY, requirements="BP-QRY-01 SRP-SRV-04", needs=_refused(QUERY)),
+    },
+)
+def refused(bench: Bench, method: str) -> None:
+    reporter, prot_id = Reporter(bench), unused_protocol_id(bench)
+
+    def act() -> dict[str, Any]:
+        values = reporter.submit()
+        bench.call(method, protId=prot_id)
+        return values
+
+    values = between_beacons(bench, f"safety data and {method}", act, reporter.is_own)
+    reporter.awaited(values, insist=False)
+    bench.passed("a beacon with the report")

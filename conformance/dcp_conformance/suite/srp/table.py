@@ -129,9 +129,9 @@ def not_newer(bench: Bench, seqno: int) -> None:
 @case(
     "TC_SRP_RX_BV_04",
     "The key of an entry is the nodeId of the record, not the senderId of the beacon",
-    requirements="SRP-RX-05",
-    stimulus="a record of node X in a beacon of node Y",
-    expect="an entry of X and none of Y",
+    requirements="SRP-RX-05 SRP-NT-01",
+    stimulus="a record of node X in a beacon of node Y; then another one of X in a beacon of node Z",
+    expect="an entry of X and none of Y; with the second record still one of X",
     needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), header=("senderId",)),
 )
 def key(bench: Bench) -> None:
@@ -139,6 +139,11 @@ def key(bench: Bench) -> None:
     peer.send(bench.records.report(other, 1))
     bench.some(until_neighbour(bench, other), "an entry of the record's node")
     bench.none(neighbour(bench, peer.node_id), "no entry of the beacon's sender")
+    bench.peer().send(bench.records.report(other, 2))
+    # Whether the second record is stored is up to other cases: it may be lost.
+    until_neighbour(bench, other, 2)
+    found = neighbours(bench).get(other, [])
+    bench.proved(len(found) <= 1, "one entry of the record's node", f"{len(found)} entries", "SRP-NT-01 SRP-RX-05")
 
 
 @case(

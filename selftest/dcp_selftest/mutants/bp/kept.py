@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import msgspec
-from dcp_spec.constants import SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.bp.receive import Blocks
@@ -143,3 +143,21 @@ skips(Receiver, Receiver._deliver)("limited-1000", "BP-RXP-01 UWB-06", "delivers
 before(BeaconingProtocol, BeaconingProtocol.activate)("paused-empties", "BP-MGT-05 BP-QM-03",
     "clears queues when it is activated",
     lambda self, now: _empty(self._clients))  # fmt: skip
+
+
+@mutant("unknown-empties-all", "BP-CLR-01 SRP-SRV-04", "clears the buffer of SRP for an unknown protocol")
+class UnknownEmptiesAll(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        confirm = super().clear_buffer(prot_id)
+        if confirm.status is BPStatus.UNKNOWN_PROTOCOL:
+            super().clear_buffer(BP_PROTID_SRP)
+        return confirm
+
+
+# fmt: off
+then(BeaconingProtocol, BeaconingProtocol._submit)("postponed", "BP-TX-01 BP-QM-04",
+    "waits for a whole period again after each payload that is submitted",
+    lambda self, status, client, payload, now: (
+        self._schedule.restart(now)
+        if self._active and status is BPStatus.OK and now < self._schedule.due else None))
+# fmt: on

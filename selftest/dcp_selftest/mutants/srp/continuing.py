@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from dcp_spec.constants import BP_PROTID_SRP
+from dcp_spec.status import BPStatus
 from msgspec.structs import replace
 
 from dcp_codec.errors import DecodeError
+from dcp_codec.values import ExtendedSafetyData
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block
@@ -74,3 +78,37 @@ class FirstOfBeacon(Receiver):
         self.reports += block.protocol_id == BP_PROTID_SRP
         if block.protocol_id != BP_PROTID_SRP or self.reports == 1:
             super()._deliver(block, sender)
+
+
+@mutant("last-ends", "SRP-RUN-01 SRP-RUN-02", "traverses its table no more once it has become empty by an expiry")
+class LastEnds(StateReporting):
+    _ended = False
+
+    def start(self, now: int, wall: int) -> BPStatus:
+        self._ended = False
+        return super().start(now, wall)
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        before = len(self._table)
+        if not self._ended:
+            super().handle_timeout(now, wall)
+            self._ended = before > len(self._table) == 0
+
+    def poll_timeout(self) -> int | None:
+        return None if self._ended else super().poll_timeout()
+
+
+@mutant(
+    "entry-of-sender",
+    "SRP-NT-01 SRP-RX-05",
+    "keeps a second entry for a node whose records come in beacons of another sender than before",
+)
+class EntryOfSender(NeighbourTable):
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        former = self._entries.get(report.node_id)
+        outcome = super().record(report, sender_id, now=now, wall=wall)
+        if former is not None and former.sender_id != sender_id:
+            self._entries[report.node_id + former.sender_id] = former
+        return outcome

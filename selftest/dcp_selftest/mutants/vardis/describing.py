@@ -101,4 +101,8 @@ after(Vardis, Vardis.read)("value-with-error", "VD-SRV-03 VD-REA-03",
 instead(Vardis, Vardis.describe_database)("inactive", "VD-DDB-02",
     "answers RTDB-DescribeDatabase with INACTIVE although it is active",
     lambda self: DescribeDatabaseConfirm(VardisStatus.INACTIVE))
+after(Vardis, Vardis.describe_database)("last-missing", "VD-DDB-02",
+    "does not list the variable with the largest identifier that one octet can hold",
+    lambda self, confirm: msgspec.structs.replace(
+        confirm, variables=tuple(each for each in confirm.variables if each.spec.var_id != 255)))
 # fmt: on

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_codec.values import VarCreate, VarReqCreate
 from dcp_selftest.mutants.entries import Expires
 from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
@@ -137,3 +138,29 @@ class RequestsItsOwn(Vardis):
         if wanted and confirm.status.is_ok:
             self._database.req_create_q.append(var_id)
         return confirm
+
+
+# -- what is pending ---------------------------------------------------------------------------------------------------
+
+
+@mutant("request-ends-updates", "VD-RC-03 VD-SCP-02 VD-CMP-09", "sends no more VarUpdates after a VarReqCreate")
+class RequestEndsUpdates(Receiver):
+    def _request_create(self, record: VarReqCreate, offset: int) -> None:
+        super()._request_create(record, offset)
+        entry = self._database.lookup(record.var_id)
+        if entry is not None and record.var_id in self._database.update_q:
+            entry.count_update = 0
+            self._database.update_q.remove(record.var_id)
+
+
+@mutant(
+    "ignored-withdraws",
+    "VD-PC-04 VD-PC-06 VD-PS-01 VD-CMP-12",
+    "does not request a variable any more after a VarCreate of it that it ignores",
+)
+class IgnoredWithdraws(Receiver):
+    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
+        super()._create(record, offset, now, wall)
+        var_id = record.spec.var_id
+        if self._database.lookup(var_id) is None and var_id in self._database.req_create_q:
+            self._database.req_create_q.remove(var_id)

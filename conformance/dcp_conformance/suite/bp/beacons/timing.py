@@ -407,3 +407,21 @@ def _after_start(bench: Bench, least: int) -> Intervals:
     bench.control.restart()
     with talking(bench):
         return intervals(some_beacons(bench, least + SHIFT + 1))
+
+
+@case(
+    "TC_BP_TX_TI_05",
+    "Payloads that are submitted more often than once per beacon period do not delay beacons",
+    requirements="BP-TX-01 BP-QM-04",
+    stimulus="a client with mode ONCE submits a payload every quarter of a beacon period, forty times",
+    expect="beacons with payloads of the client meanwhile",
+    window=30,
+    needs=Needs(entities=(), ut=CLIENT),
+)
+def not_delayed(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        start = bench.mark()
+        for _ in range(40):
+            client.transmit(client.payload())
+            bench.wait(0.25)
+        bench.some(client.frames(start), "a beacon with a payload of the client within ten beacon periods")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
@@ -368,3 +369,45 @@ def request_not_withdrawn(bench: Bench) -> None:
     bench.until_instruction(ICType.REQUEST_VARUPDATES, var_id)
     found = bench.instructions(ICType.REQUEST_VARUPDATES, var_id, start)
     bench.some(found, "a VarReqUpdate for the variable")
+
+
+@case(
+    "TC_VD_PEND_BV_13",
+    "A VarCreate that is ignored does not withdraw the request for its variable ({variant})",
+    requirements="VD-PS-01 VD-CMP-12",
+    stimulus="a summary of an unknown variable and, immediately after it in another beacon, a VarCreate with {variant}",
+    expect="a VarReqCreate for the variable",
+    window=8,
+    needs=Needs(since=SpecVersion.V1_2),
+    variants={
+        "an-empty-value": Variant({"value": b""}, requirements="VD-PC-04 VD-PS-01 VD-CMP-12"),
+        "repCnt-0": Variant({"rep_cnt": 0}, requirements="VD-PC-06 VD-PS-01 VD-CMP-12"),
+    },
+)
+def request_kept_by_an_ignored_one(bench: Bench, fields: dict[str, Any]) -> None:
+    peer, var_id = bench.peer(), bench.unknown_id()
+    bench.identifiers.created.add(var_id)
+    peer.send(peer.summary(var_id, 0))
+    peer.send(peer.create(var_id, **fields))
+    found = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
+    bench.some(found, "a VarReqCreate for the variable")
+
+
+@case(
+    "TC_VD_PEND_BV_14",
+    "A VarReqCreate does not cancel the repetitions of a VarUpdate",
+    requirements="VD-RC-03 VD-SCP-02 VD-CMP-09",
+    stimulus="a VarUpdate with several repetitions, and after the first of them a VarReqCreate of another neighbour",
+    expect="repCnt beacons with the VarUpdate",
+    window=20,
+    needs=Needs(when=several_repetitions),
+)
+def updates_continue(bench: Bench) -> None:
+    peer, count = bench.peer(), min(5, max_repetitions(bench))
+    var_id = teach_variable(bench, peer, rep_cnt=count)
+    settled(bench, var_id)
+    since, other = bench.mark(), bench.peer()
+    peer.send(peer.update(var_id, 1))
+    bench.required(bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded")
+    other.send(other.request_create(var_id))
+    bench.check_repeated(ICType.UPDATES, var_id, count, since)

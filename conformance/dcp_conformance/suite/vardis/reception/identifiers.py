@@ -12,7 +12,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import OK, UNKNOWN, create_request
+from dcp_conformance.test_steps.services import OK, UNKNOWN, create_request, described, listed
 from dcp_conformance.test_system.bench import Bench
 
 _CREATE, _UPDATE = ICType.CREATE_VARIABLES, ICType.UPDATES
@@ -71,9 +71,15 @@ def consumer(bench: Bench, name: str) -> None:
 @case(
     "TC_VD_ID_BV_02",
     "All services and records accept the {variant} identifier for a node's own variable",
-    requirements="VD-TYP-01 VD-CRE-14 VD-CRE-12",
-    stimulus="RTDB-Create, -Read, -Update, -Delete with the {variant} identifier (of 0, 127, 128, 255 for one octet)",
-    expect="VARDIS-STATUS-OK each time; VarCreate, summary, VarUpdate and VarDelete with this identifier",
+    requirements="VD-TYP-01 VD-CRE-14 VD-CRE-12 VD-DDB-02 VD-DVA-03",
+    stimulus=(
+        "RTDB-Create, -Read, -Update, -Delete with the {variant} identifier (of 0, 127, 128, 255 for one octet); "
+        "RTDB-DescribeDatabase and RTDB-DescribeVariable, if available"
+    ),
+    expect=(
+        "VARDIS-STATUS-OK each time; VarCreate, summary, VarUpdate and VarDelete with this identifier, and the "
+        "variable in the descriptions"
+    ),
     window=24,
     variants=_each("RTDB-Create", "RTDB-Update", "RTDB-Read", "RTDB-Delete"),
 )
@@ -96,6 +102,11 @@ def producer(bench: Bench, name: str) -> None:
     answer = bench.expect_status(OK, "RTDB-Read", "VD-TYP-01", varId=var_id)
     value = answer.result.get("value")
     bench.answered(value, bench.records.value(b"second").hex(), "the value of the update", "VD-TYP-01")
+    if "RTDB-DescribeDatabase" in bench.services.upper.methods:
+        bench.proved(var_id in listed(bench), f"variable {var_id} in the list", "not in the list", "VD-DDB-02")
+    if "RTDB-DescribeVariable" in bench.services.upper.methods:
+        shown = described(bench.must("RTDB-DescribeVariable", varId=var_id)).get("varId")
+        bench.answered(shown, var_id, "varId", "VD-DVA-03")
     _check_answer(bench, lambda: served("RTDB-Delete"), _DELETE, var_id, "VD-TYP-01")
 
 
