@@ -431,13 +431,7 @@ class VardisModel(Oracle):
         """Judge a payload of ``octets`` octets, composed at ``since`` or later and received at ``time`` (ns)."""
         self.payloads += 1
         causes, shown = self._shown(containers), self._shown_versions(containers)
-        # A received payload may be processed later, but all of those before it.
-        proof = max(
-            [*causes.values(), *(each for var_id, each in shown.items() if not self._own(self.variables[var_id].now))],
-            default=since,
-        )
-        composed = max(min(time - self._latency, since) - self.late, proof)
-        since = max(since, proof)
+        since = max([since, *causes.values()])
         former = [(size, count) for changed, size, count in self.room.former if changed >= since]
         most = max([self.room.most, *(size for size, _ in former)])
         summaries = max([self.room.summaries, *(count for _, count in former)])
@@ -459,7 +453,8 @@ class VardisModel(Oracle):
                 twice = next(each for each in ids if ids.count(each) > 1)
                 yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
         roomy = octets + self._needs(_CREATES) + self.room.header <= self.room.limit
-        waited = time - self._latency - composed
+        # A received payload may be processed later.
+        waited = max(0, time - self._latency - since) + self.late
         owed = {} if self._lossy else {var_id: list(each) for var_id, each in self._owed.items()}
         for each in self.transmitted(records, time, frame, roomy=roomy and not self._lossy, waited=waited, shown=shown):
             unasked = each.expected.startswith("no ")
@@ -488,9 +483,9 @@ class VardisModel(Oracle):
                         found[each.cause] = max(found.get(each.cause, each.time), each.time)
         return found
 
-    def _shown_versions(self, containers: Sequence[Container]) -> dict[int, int]:
-        """Return the variables of which a payload shows the present version, and no earlier one, with its time."""
-        found: dict[int, int] = {}
+    def _shown_versions(self, containers: Sequence[Container]) -> set[int]:
+        """Return the variables of which a payload shows the present version, and no earlier one."""
+        found = set[int]()
         for record in (each for container in containers for each in container.records):
             if record.IC_TYPE not in (_SUMMARIES, _UPDATES, _CREATES):
                 continue
@@ -499,7 +494,7 @@ class VardisModel(Oracle):
                 continue
             *earlier, now = variable.versions
             if self._shows(record, now) and not any(self._shows(record, each) for each in earlier):
-                found[_var_id(record)] = now.since
+                found.add(_var_id(record))
         return found
 
     def _shows(self, record: VardisRecord, version: Version) -> bool:

@@ -59,8 +59,8 @@ class Oracle(Model):
         """Judge a payload that the node sent, and remove its instructions from those that the node must send.
 
         ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
-        ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`); negative
-        if it was surely composed later. ``shown``: variables whose present version the payload shows, so that it was
+        ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`).
+        ``shown``: variables whose present version the payload shows, so that it was
         composed after the node had that version.
         """
         complaints: list[Complaint] = []
@@ -207,7 +207,8 @@ class Oracle(Model):
         self.occasions["VD-PS-02"] += 1
         self.occasions["VD-SCP-01"] += 1
         if kind is _CREATE_REQUESTS:
-            fitting = [version for version in versions if version.state == "unknown"]
+            removes = self._features.removed_after_deletion
+            fitting = [each for each in versions if each.state == "unknown" or (removes and each.state == "deleted")]
         else:
             self.occasions["VD-PS-04"] += 1
             fitting = [version for version in versions if version.state == "alive" and not self._own(version)]
@@ -253,12 +254,12 @@ class Oracle(Model):
             return False
         return self._emptied(*stood)
 
-    def _emptied(self, armed: int, behind: int) -> bool:
+    def _emptied(self, armed: int, since: int) -> bool:
         """Return whether an instruction left its queue: it was not in all roomy payloads after its last cause.
 
-        ``armed``: time of the cause in ns; ``behind``: the number of payloads after it that had the instruction.
+        ``armed``: time of the cause in ns; ``since``: the number of payloads after it that had the instruction.
         """
-        return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
+        return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > since
 
     def _since(self, variable: Variable, since: int) -> list[Version]:
         """Return the states of the variable since the time ``since`` (ns), oldest first."""

@@ -55,7 +55,7 @@ _SIZED: Final = ("payload", "value")
 _FOLLOWED: Final = re.compile(
     r"RTDB-(Read|Describe.*)|BP-(List.*|Query.*|TransmitPayload|ClearBuffer)|SRP-NeighbourTable|.*-GetParameters"
 )
-#: Sequence numbers, and octets behind the last payload, of beacons that are unusual.
+#: Sequence numbers, and octets after the last payload, of beacons that are unusual.
 _NUMBERS: Final = {"seqno 0": 0, "seqno largest": -1}
 _PADDING: Final = {"padded": b"\xa5" * 46, "padded far": bytes(200)}
 _QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"

@@ -128,7 +128,7 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "several": st.booleans(),
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
-#: What is wrong or unusual about a beacon.
+#: Faults and unusual traits of a beacon.
 _SHAPES: Final = st.sampled_from(
     ("",) * 24 + tuple(FAULTS) + ("seqno 0", "seqno largest", "seqno as before", "padded", "padded far")
 )
@@ -384,7 +384,7 @@ class NodeMachine(RuleBasedStateMachine):
         pause=st.sampled_from((0.4, 1.0, 0.4)),
     )
     def stream(self, which: int, count: int, pause: float) -> None:
-        """Submit payloads one after the other, where time costs nothing."""
+        """Submit payloads in succession, where time costs nothing."""
         number = self._one_of(which)
         size = min(4, self.registrations()[number].most)
         for _ in range(count):
@@ -481,7 +481,9 @@ class NodeMachine(RuleBasedStateMachine):
             return
         number = int(self.driver.initial[name] if value == "initial" else value)
         if what == "PAYLOAD_SIZE":
-            number = min(max(number, model.least_payload), self.driver.initial[name])
+            # A node may refuse one that does not fit into a packet, or set a smaller one (X39).
+            largest = int(model.values["BPPAR_MAXIMUM_PACKET_SIZE"]) - model.headers
+            number = min(max(number, model.least_payload), self.driver.initial[name], largest)
         elif what == "SCRUB":
             number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
         number = model.bounded(name, number)

@@ -19,7 +19,7 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
     "no-length": ("BP-RX-03",), "no-payloads": ("BP-RX-04",),
 }  # fmt: skip
 Trait = Literal["", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far"]
-"""What is unusual about a beacon that a receiver must process like any other (BP-RX-10, BP-RX-14)."""
+"""Unusual traits of beacons that a receiver must process like any other (BP-RX-10, BP-RX-14)."""
 Fill = Literal["", "zeros", "ones"]
 """Octets of a value: all 0x00 (also one in the middle of the description), or all 0xFF."""
 #: Parameters of a call: its octets are those of the call or payload before, or all the same.

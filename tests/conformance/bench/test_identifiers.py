@@ -46,8 +46,8 @@ def test_a_created_variable_is_not_unknown_and_known_to_the_run():
     parts = Parts()
     identifiers = parts.identifiers
     identifiers.offered(15, 1)
-    identifiers.produced_by_application(14)
-    identifiers.created_elsewhere(13)
+    identifiers.created_by_others(14, application=True)
+    identifiers.created_by_others(13)
     assert identifiers.unknown_id() == 12
     assert (identifiers.created, identifiers.produced) == ({15}, {14})
     assert not any(parts.run.identifier_pool.is_unknown(each, 0) for each in (13, 14, 15))

@@ -310,6 +310,8 @@ def any_number(bench: Bench, seqno: int) -> None:
     },
 )
 def refused(bench: Bench, method: str) -> None:
+    if bench.session.slow_call > bench.period // 2:
+        bench.verdicts.not_applicable("a call of this implementation takes longer than half of a beacon period")
     reporter, prot_id = Reporter(bench), unused_protocol_id(bench)
 
     def act() -> dict[str, Any]:

@@ -156,13 +156,13 @@ class Identifiers:
         self.created.add(var_id)
         self._pool.offered(var_id, creation_time)
 
-    def produced_by_application(self, var_id: int) -> None:
-        """Record that the implementation's application may have created a variable."""
-        self.produced.add(var_id)
-        self._pool.offered(var_id, by_peer=False)
+    def created_by_others(self, var_id: int, *, application: bool = False) -> None:
+        """Record that the implementation may hold a variable that no peer of the tester has created.
 
-    def created_elsewhere(self, var_id: int) -> None:
-        """Record that the implementation may have learnt a variable from a node that is not a peer of the tester."""
+        ``application``: the implementation's application has.
+        """
+        if application:
+            self.produced.add(var_id)
         self._pool.offered(var_id, by_peer=False)
 
     def departure(self) -> int:

@@ -89,7 +89,7 @@ class Receiver:
         if not ours:
             self.others.append(heard)
             for var_id in heard.known:
-                self._identifiers.created_elsewhere(var_id)
+                self._identifiers.created_by_others(var_id)
             return None
         self.heard.append(heard)
         self._steps.reacted(arrival.time)

@@ -118,7 +118,7 @@ class Services:
     def _carried_out(self, method: str, params: Mapping[str, Any]) -> None:
         """Record the effect of a call that succeeded, or may have."""
         if method == "RTDB-Create" and isinstance(params.get("varId"), int):
-            self._identifiers.produced_by_application(params["varId"])
+            self._identifiers.created_by_others(params["varId"], application=True)
 
     def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
         """Call a service that must answer with this status; a check that does not stop the case."""

@@ -414,7 +414,7 @@ def _after_start(bench: Bench, least: int) -> Intervals:
     "Payloads that are submitted more often than once per beacon period do not delay beacons",
     requirements="BP-TX-01 BP-QM-04",
     stimulus="a client with mode ONCE submits a payload every quarter of a beacon period, forty times",
-    expect="beacons with payloads of the client meanwhile",
+    expect="beacons with payloads of the client while it submits",
     window=30,
     needs=Needs(entities=(), ut=CLIENT),
 )
