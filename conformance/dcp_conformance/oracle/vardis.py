@@ -60,8 +60,7 @@ class Oracle(Model):
 
         ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
         ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`).
-        ``shown``: variables whose present version the payload shows, so that it was
-        composed after the node had that version.
+        ``shown``: variables whose present version the payload shows, so that it was composed after the node had it.
         """
         complaints: list[Complaint] = []
         variables, owed, removes = self.variables, self._owed, self._features.removed_after_deletion

@@ -73,7 +73,10 @@ def unknown(
 
 
 def selections(number: int, seed: int, on_result: Callable[[Statement], None] = lambda _: None) -> list[Statement]:
-    """Diagnose ``number`` selections of 1 to 5 cases, drawn by ``seed``, each for a mutant that fails one of them."""
+    """Diagnose ``number`` selections of 1 to 5 cases, drawn by ``seed``, each for a mutant that fails one of them.
+
+    A mutant that fails its cases only after others is passed over.
+    """
     # Imported here: the process of a change must not have imported the node.
     from dcp_conformance.model.case import all_cases
 
@@ -83,13 +86,17 @@ def selections(number: int, seed: int, on_result: Callable[[Statement], None] = 
     rng = random.Random(seed)  # noqa: S311 - a draw, no secret
     able = [fault for fault in load().faults if fault.fails and all_mutants()[fault.id].profile == PROFILE]
     found: list[Statement] = []
-    for fault in rng.sample(able, number):
+    for fault in rng.sample(able, len(able)):
+        if len(found) == number:
+            break
         fails = sorted(fault.fails)
         others = sorted({case for each in rng.sample(able, 4) for case in each.fails} - fault.fails)
         chosen = {rng.choice(fails), *rng.sample([*fails, *others], rng.randrange(_MOST))}
         results = [*Suite(PROFILE, all_mutants()[fault.id].make).run([all_cases()[case] for case in sorted(chosen)])]
-        found.append(_statement(f"{fault.id}: {fault.what} ({len(chosen)} cases)", results, fault.requirements))
-        on_result(found[-1])
+        statement = _statement(f"{fault.id}: {fault.what} ({len(chosen)} cases)", results, fault.requirements)
+        if statement.failed:
+            found.append(statement)
+            on_result(statement)
     return found
 
 
