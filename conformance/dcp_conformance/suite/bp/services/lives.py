@@ -136,6 +136,8 @@ class _Registered:
 
         def act() -> tuple[list[bytes], list[int | None]]:
             nonlocal start
+            if start and (left := client.number()):
+                bench.inconclusive("an empty buffer before another attempt", f"{left} payloads of the last one in it")
             start = bench.mark()
             return self.submitted()
 
