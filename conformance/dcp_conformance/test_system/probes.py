@@ -51,11 +51,15 @@ class Probes:
         start of the run: then it is a kind that it answered. ``periods``: see :meth:`.Waiting.until`.
         """
         question, identifiers = self._run.known.question, self._identifiers
-        if question == "summary" and identifiers.created and not identifiers.has_unknown_ids():
-            # A full database requests no further variable (X43). The answer to a request for a variable of the case
-            # would look like a reaction to what the case did before.
-            spare = identifiers.spare_var_id()
-            return self.ask("request", periods) if spare is None else self._creates(spare, periods)
+        used = len(identifiers.called_unknown)
+        if question == "summary" and not identifiers.has_unknown_ids(1 + used):
+            # The answer to a summary of, or a request for, a variable of the case would look like a reaction to what
+            # the case did before.
+            if (spare := identifiers.spare_var_id()) is not None:
+                return self._creates(spare, periods)
+            if identifiers.created and not identifiers.has_unknown_ids():
+                # A full database requests no further variable (X43).
+                question = "request"
         return self.ask(question, periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:

@@ -13,7 +13,7 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.srp.soft_state import brief_timeout
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
-from dcp_conformance.test_steps.bp_clients import CLEAR, DEREGISTER, QUERY, unused_protocol_id
+from dcp_conformance.test_steps.bp_clients import CLEAR, DEREGISTER, QUERY, UNKNOWN_PROTOCOL, unused_protocol_id
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_steps.state_reports import Reporter
@@ -316,7 +316,7 @@ def refused(bench: Bench, method: str) -> None:
 
     def act() -> dict[str, Any]:
         values = reporter.submit()
-        bench.call(method, protId=prot_id)
+        bench.expect_status(UNKNOWN_PROTOCOL, method, protId=prot_id)
         return values
 
     values = between_beacons(bench, f"safety data and {method}", act, reporter.is_own)
