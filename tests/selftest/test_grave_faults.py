@@ -89,16 +89,6 @@ def test_a_run_takes_at_most_twice_that_of_a_node_without_faults(name: str) -> N
     assert outcome(all_mutants()[name].make).seconds <= 2 * clean().seconds
 
 
-@pytest.mark.part("suite")
-def test_deaths_cost_little_time_and_change_no_verdict() -> None:
-    make = combined([all_mutants()[each] for each in LETHAL])
-    found, alone = outcome(make), outcome(make, width=1)
-    assert sum(each.killed for each in found.results.values()) == 36
-    assert found.seconds <= 1.4 * clean().seconds
-    verdicts = {name: (str(each.verdict), each.killed) for name, each in alone.results.items()}
-    assert {name: (str(each.verdict), each.killed) for name, each in found.results.items()} == verdicts
-
-
 def calls(result: CaseResult) -> set[str]:
     return {each.text.split()[0] for each in result.evidence if each.direction == "call"}
 
