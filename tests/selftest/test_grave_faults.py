@@ -17,7 +17,6 @@ from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.faults import Faults
 from dcp_conformance.upper_tester.patience import Patience
 from dcp_selftest.mutants import all_mutants
-from dcp_selftest.mutants.combination import combined
 from dcp_selftest.runner import Suite, cases
 
 from ..conformance.rig import codec_of
