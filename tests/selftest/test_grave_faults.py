@@ -17,6 +17,7 @@ from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.faults import Faults
 from dcp_conformance.upper_tester.patience import Patience
 from dcp_selftest.mutants import all_mutants
+from dcp_selftest.mutants.combination import combined
 from dcp_selftest.runner import Suite, cases
 
 from ..conformance.rig import codec_of
@@ -27,6 +28,8 @@ WIDTH = 16
 HEADER, MUTE = "M-BP-HDR-06-with-header", "M-SRP-SRV-03-mute"
 #: Together they end the node in 36 cases: by calls, valid frames and damaged frames.
 LETHAL = ("M-BP-QM-01-dies-of-full", "M-BP-RX-15-dies", "M-BP-RX-16-dies-of-nothing", "M-BP-TX-04-dies-of-overflow")
+#: A beacon may be due between its submissions beside other cases: then its queue is not full, and the node lives.
+UNSTEADY = "TC_DCP_MODEL_BV_01-sizes-03"
 
 
 class Unanswering(VirtualUpperTester):
@@ -86,6 +89,19 @@ def clean() -> Outcome:
 @pytest.mark.parametrize("name", [HEADER, MUTE])
 def test_a_run_takes_at_most_twice_that_of_a_node_without_faults(name: str) -> None:
     assert outcome(all_mutants()[name].make).seconds <= 2 * clean().seconds
+
+
+@pytest.mark.part("suite")
+def test_deaths_cost_little_time_and_change_no_verdict() -> None:
+    make = combined([all_mutants()[each] for each in LETHAL])
+    found, alone = outcome(make), outcome(make, width=1)
+    assert found.seconds <= 1.4 * clean().seconds
+    beside, verdicts = (
+        {name: (str(each.verdict), each.killed) for name, each in one.results.items()} for one in (found, alone)
+    )
+    assert sum(killed for _, killed in verdicts.values()) == 36
+    del beside[UNSTEADY], verdicts[UNSTEADY]
+    assert beside == verdicts
 
 
 def calls(result: CaseResult) -> set[str]:

@@ -155,7 +155,7 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def certain(self) -> bool:
-        """Whether no observation contradicts this fault, so that its requirement is violated as a fact.
+        """Whether the implementation certainly has this fault, as no observation contradicts it.
 
         At least half of the cases that it makes fail were decided. All of them failed with the same observation, which
         names its requirement; nothing else failed, and no other known fault is as likely.

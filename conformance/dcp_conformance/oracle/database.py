@@ -107,8 +107,6 @@ class VardisModel(Oracle):
         self._longest = (limits.max_value_length, limits.max_description_length)
         self._passed: dict[int, int] = {}
         """Variables of others whose timeout has passed, with the time at which a scrubbing node has deleted them."""
-        self._idle = False
-        """Whether the record that is being processed found no VarUpdate of its variable in the queue."""
         self.payloads = 0
 
     # -- what the node receives ------------------------------------------------------------------------------
@@ -166,15 +164,19 @@ class VardisModel(Oracle):
 
         spec = self.variables[var_id].now.spec
         before = self._due.get((kind, var_id))
-        if kind in _ROTATED and spec is not None and (requirement not in TAUGHT or self._idle):
+        if kind in _ROTATED and requirement not in TAUGHT and spec is not None:
             self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement, frame)
         elif before is None:
             # Sent once for certain: it may have been in its queue already.
             self._due[kind, var_id] = Due(1, time, requirement, frame)
 
     def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
-        self._idle = requirement in TAUGHT and self._surely_sent(var_id)
+        idle = requirement in TAUGHT and self._surely_sent(var_id) and not self._surely_queued(kind, var_id)
         super()._arm(kind, var_id, time, frame, requirement)
+        spec = self.variables[var_id].now.spec
+        if idle and spec is not None and spec.rep_cnt > 0:
+            # The answer found none of its variable in the queue.
+            self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement, frame)
 
     def _surely_sent(self, var_id: int) -> bool:
         """Return whether all VarUpdates of a variable were sent, so that none is in the queue."""

@@ -272,8 +272,11 @@ def _name(node_id: bytes) -> str:
 
 def _alike(shown: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
     """Return whether safety data is the same, as far as an answer in decimal digits shows it."""
-    return all(
-        isclose(shown[name], value, rel_tol=1e-5, abs_tol=1e-5) if isinstance(value, float) else shown[name] == value
-        for name, value in values.items()
-        if type(shown.get(name)) in (int, float) or (type(shown.get(name)) is type(value))
-    )
+    for name, value in values.items():
+        given = shown.get(name)
+        if isinstance(value, float) and isinstance(given, int | float):
+            if not isclose(given, value, rel_tol=1e-5, abs_tol=1e-5):
+                return False
+        elif type(given) is type(value) and given != value:
+            return False
+    return True

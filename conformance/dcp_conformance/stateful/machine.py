@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, NamedTuple, cast
+from typing import Any, ClassVar, Final, NamedTuple, cast, get_args
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 from hypothesis import strategies as st
@@ -129,9 +129,7 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 #: Faults and unusual traits of a beacon.
-_SHAPES: Final = st.sampled_from(
-    ("",) * 24 + tuple(FAULTS) + ("seqno 0", "seqno largest", "seqno as before", "padded", "padded far")
-)
+_SHAPES: Final = st.sampled_from(("",) * 24 + tuple(FAULTS) + tuple(each for each in get_args(Trait) if each))
 #: Parameters with values that no reading allows.
 _INVALID: Final = st.sampled_from((
     ("BP", "BPPAR_BEACON_PERIOD", 0), ("BP", "BPPAR_BEACON_PERIOD", -100), ("BP", "BPPAR_MAXIMUM_PACKET_SIZE", 0),
@@ -210,7 +208,7 @@ class NodeMachine(RuleBasedStateMachine):
         self.driver = Driver(self.executor, self.reached)
         self.counterexample: Counterexample | None = None
         self._lost = False
-        """Whether a call had no answer, so that the model cannot follow the node any further."""
+        """Whether a call had no answer: the model does not know the state of the node from then on."""
         self._version = self.executor.codec.profile.spec_version
         self.title = ""
         """The theme of the sequence."""

@@ -117,7 +117,7 @@ def test_a_whole_run_is_short_and_gives_the_verdicts_of_our_node() -> None:
     results = suite.run_side_by_side([case for case in cases() if not case.long], 12)
     assert {result.verdict for result in results} <= {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
     # One case after the other takes 620 s.
-    assert (session.lower.now() - begun) / 1e9 < 185
+    assert (session.lower.now() - begun) / 1e9 < 180
 
 
 @pytest.mark.parametrize("pattern", ["TC_VD_DB_BV_06-", "TC_NET_RACE_BO_02-", "TC_NET_JOIN_BV_07", "TC_VD_UPD_BV_0"])

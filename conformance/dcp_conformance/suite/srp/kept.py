@@ -25,11 +25,6 @@ _UPDATE = "SRP-UpdateSafetyData"
 _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 V1_2 = SpecVersion.V1_2
 
-
-def _refused(method: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
-    return Needs(since=since, ut=(_UPDATE, method), entities=("srp",))
-
-
 #: Fields of an entry that the specification names, without the time of reception.
 _FIELDS = ("sData", "tStamp", "seqno")
 
@@ -296,6 +291,10 @@ def any_number(bench: Bench, seqno: int) -> None:
     bench.answered(entry.get("seqno"), seqno, "seqno")
 
 
+def _refused(method: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
+    return Needs(since=since, ut=(_UPDATE, method), entities=("srp",))
+
+
 @case(
     "TC_SRP_SRV_BO_03",
     "A BP request for an unknown protocol does not remove a report that waits ({variant})",
@@ -319,6 +318,6 @@ def refused(bench: Bench, method: str) -> None:
         bench.expect_status(UNKNOWN_PROTOCOL, method, protId=prot_id)
         return values
 
-    values = between_beacons(bench, f"safety data and {method}", act, reporter.is_own)
+    values = between_beacons(bench, f"safety data and {method}", act, reporter.is_own, flush=3)
     reporter.awaited(values, insist=False)
     bench.passed("a beacon with the report")

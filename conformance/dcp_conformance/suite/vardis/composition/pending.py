@@ -301,9 +301,14 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     window=8,
 )
 def request_kept(bench: Bench) -> None:
-    peer, var_id = bench.peer(), bench.unknown_id()
+    _check_kept(bench, bench.unknown_id(), lambda peer, var_id: peer.delete(var_id))
+
+
+def _check_kept(bench: Bench, var_id: int, second: Callable[[Peer, int], VardisRecord]) -> None:
+    """Check that a second record about an unknown variable leaves the request for it in its queue."""
+    peer = bench.peer()
     peer.send(peer.summary(var_id, 0))
-    peer.send(peer.delete(var_id))
+    peer.send(second(peer, var_id))
     found = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     bench.some(found, "a VarReqCreate for the variable")
 
@@ -385,12 +390,9 @@ def request_not_withdrawn(bench: Bench) -> None:
     },
 )
 def request_kept_by_an_ignored_one(bench: Bench, fields: dict[str, Any]) -> None:
-    peer, var_id = bench.peer(), bench.unknown_id()
+    var_id = bench.unknown_id()
     bench.identifiers.created.add(var_id)
-    peer.send(peer.summary(var_id, 0))
-    peer.send(peer.create(var_id, **fields))
-    found = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
-    bench.some(found, "a VarReqCreate for the variable")
+    _check_kept(bench, var_id, lambda peer, var_id: peer.create(var_id, **fields))
 
 
 @case(
