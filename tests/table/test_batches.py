@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import stat
@@ -19,12 +20,14 @@ from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
+from dcp_codec.common.atomic_write import write_whole
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.input.sources import packed
-from dcp_codec.table.kernel.compiled import cache_folder
+from dcp_codec.table.kernel.compiled import cache_folder, compiled
 from dcp_codec.table.kernel.jit import machine, options_of
 from dcp_codec.table.kernel.pools import Pool
 from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
+from dcp_codec.table.kernel.shape import Shape
 from dcp_codec.table.parquet_output import ParquetTable
 
 pytestmark = pytest.mark.part("tables")
@@ -249,6 +252,23 @@ def test_compiled_code_is_cached_for_one_argument_type(tmp_path):
 
 def test_without_a_cache_folder():
     assert program(C_LATEJOIN, "/dev/null").stdout == "445\n"
+
+
+def test_the_source_of_the_decoder_is_written_with_the_lock_held(tmp_path, monkeypatch):
+    """A process that writes it again, after another one has compiled it, would make that machine code obsolete."""
+    written: list[Path] = []
+
+    def write(path: Path, octets: bytes) -> None:
+        with path.with_suffix(".lock").open() as lock, pytest.raises(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        written.append(path)
+        write_whole(path, octets)
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("dcp_codec.table.kernel.compiled.write_whole", write)
+    for _ in range(2):
+        compiled(Shape(get_codec("dcp-2.0").beacon_plan))
+    assert len(written) == 1
 
 
 def test_functions_that_cannot_be_cached_are_compiled():

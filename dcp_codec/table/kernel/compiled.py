@@ -13,7 +13,7 @@ import hashlib
 import linecache
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -118,15 +118,27 @@ def compiled(shape: Shape) -> Decode:
     if folder is None:
         return machine(function_of(text, _NATIVE))
     path = folder / f"columns_{digest}.py"
+    lock = path.with_suffix(".lock")
     wanted = _HEAD + text
-    try:
-        same = path.read_text(encoding="utf-8") == wanted
-    except (OSError, UnicodeDecodeError):
-        same = False
-    if not same:
-        # Several processes may write the file at once; all write the same content, of which the name is a hash.
-        write_whole(path, wanted.encode())
-    return _compiled_once(machine(_module(path, digest)), path.with_suffix(".lock"))
+    # Numba compares the time of the file: one that another process writes again would make its machine code obsolete.
+    with _locked(lock):
+        try:
+            same = path.read_text(encoding="utf-8") == wanted
+        except (OSError, UnicodeDecodeError):
+            same = False
+        if not same:
+            write_whole(path, wanted.encode())
+    return _compiled_once(machine(_module(path, digest)), lock)
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Keep other processes out of a ``with`` block for the same ``path``."""
+    with path.open("w") as lock:
+        # A file system without locks: each process writes and compiles.
+        with contextlib.suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _compiled_once(decode: Decode, path: Path) -> Decode:
@@ -140,10 +152,7 @@ def _compiled_once(decode: Decode, path: Path) -> Decode:
         nonlocal ready
         if ready:
             return decode(*arguments)
-        with path.open("w") as lock:
-            # A file system without locks: each process compiles.
-            with contextlib.suppress(OSError):
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        with _locked(path):
             result = decode(*arguments)
         ready = True
         return result
