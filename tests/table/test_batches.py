@@ -232,7 +232,7 @@ from numba.core.dispatcher import Dispatcher
 from dcp_codec.table.input import mcap_messages as messages, walkers
 from dcp_codec.table.kernel import jit
 for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng):
-    compiled = jit.machine(function)
+    compiled = jit._compiled(function)
     assert isinstance(compiled, Dispatcher) and not isinstance(compiled._cache, NullCache)
     assert len(compiled.signatures) <= 1, (function, compiled.signatures)
 """
@@ -265,7 +265,7 @@ def test_the_source_of_the_decoder_is_written_with_the_lock_held(tmp_path, monke
         write_whole(path, octets)
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("dcp_codec.table.kernel.compiled.write_whole", write)
+    monkeypatch.setitem(compiled.__globals__, "write_whole", write)
     for _ in range(2):
         compiled(Shape(get_codec("dcp-2.0").beacon_plan))
     assert len(written) == 1

@@ -38,7 +38,7 @@ def without(refused: set[str], cache: Path, *arguments: Any) -> subprocess.Compl
     """Run dcp-codec where these packages cannot be imported."""
     return subprocess.run(
         [sys.executable, "-c", _WITHOUT.format(refused=refused), *map(str, arguments)],
-        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
+        env={**os.environ, "XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba")},
         capture_output=True,
         text=True,
         check=False,

@@ -7,13 +7,11 @@ process compiles again.
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import linecache
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -26,7 +24,7 @@ from dcp_codec.common.trust import untrusted_writer
 
 from . import native
 from .generator import kernel_source
-from .jit import machine, options
+from .jit import locked, machine, options
 from .shape import Shape
 
 Decode = Callable[..., tuple[int, int]]
@@ -120,44 +118,16 @@ def compiled(shape: Shape) -> Decode:
     path = folder / f"columns_{digest}.py"
     lock = path.with_suffix(".lock")
     wanted = _HEAD + text
+    lock.touch()
     # Numba compares the time of the file: one that another process writes again would make its machine code obsolete.
-    with _locked(lock):
+    with locked(lock):
         try:
             same = path.read_text(encoding="utf-8") == wanted
         except (OSError, UnicodeDecodeError):
             same = False
         if not same:
             write_whole(path, wanted.encode())
-    return _compiled_once(machine(_module(path, digest)), lock)
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Keep other processes out of a ``with`` block for the same ``path``."""
-    with path.open("w") as lock:
-        # A file system without locks: each process writes and compiles.
-        with contextlib.suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-def _compiled_once(decode: Decode, path: Path) -> Decode:
-    """Return ``decode`` with a lock on ``path`` during its first call.
-
-    One of several processes compiles; the others wait and load the machine code that it has stored.
-    """
-    ready = False
-
-    def call(*arguments: Any) -> tuple[int, int]:
-        nonlocal ready
-        if ready:
-            return decode(*arguments)
-        with _locked(path):
-            result = decode(*arguments)
-        ready = True
-        return result
-
-    return call
+    return machine(_module(path, digest), lock)
 
 
 def cache_folder() -> Path | None:

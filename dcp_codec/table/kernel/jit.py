@@ -6,11 +6,13 @@ decoding a small recording needs neither the import nor the compilation.
 
 from __future__ import annotations
 
+import fcntl
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -51,13 +53,43 @@ def helper(function: _Function) -> _Function:
     return function
 
 
-def machine(function: _Function) -> _Function:
+def machine(function: _Function, lock: Path | None = None) -> _Function:
     """Return ``function`` as machine code that runs without the GIL; it is compiled at the first call.
 
     Numba stores it beside the source or in the user's cache. If neither can be written, each process compiles again.
+    ``lock``: the file that is locked during the first call, by default the source: of several processes one compiles,
+    and the others wait and load the machine code that it has stored.
     All calls must have the same argument types: concurrent processes that store machine code for several mix them up.
     """
-    return cast(_Function, _compiled(function))
+    return cast(_Function, _once(function, lock or Path(function.__code__.co_filename)))
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep other processes and threads out of a ``with`` block with the same ``path``, a file that exists.
+
+    Without such a file, or on a file system without locks, the block is executed at once.
+    """
+    with ExitStack() as stack:
+        with suppress(OSError):
+            fcntl.flock(stack.enter_context(path.open("rb")), fcntl.LOCK_EX)
+        yield
+
+
+@cache
+def _once(function: Callable[..., Any], lock: Path) -> Callable[..., Any]:
+    decode, ready = _compiled(function), False
+
+    def call(*arguments: Any) -> Any:
+        nonlocal ready
+        if ready:
+            return decode(*arguments)
+        with locked(lock):
+            result = decode(*arguments)
+        ready = True
+        return result
+
+    return call
 
 
 @cache
