@@ -170,6 +170,42 @@ def test_a_crash_is_reported_with_the_last_sign_of_life():
     assert result.reason.endswith("; its last beacon came before frame 3 of 4")
 
 
+class Winding(InProcess):
+    """Stops sending and receiving in a case; its process ends 200 ms later."""
+
+    stopped = 0
+
+    def send(self, octets: bytes) -> None:
+        if not self.stopped:
+            super().send(octets)
+
+    def deliver(self, octets: bytes) -> None:
+        if not self.stopped:
+            super().deliver(octets)
+
+    def alive(self) -> bool:
+        return not self.stopped or self.now < self.stopped + 200_000_000
+
+    def restart(self) -> None:
+        self.stopped = 0
+        super().restart()
+
+
+def test_an_implementation_that_ends_while_it_is_probed_gets_no_further_probe():
+    sut = Winding(reference_config(codec_of("dcp-2.0")))
+
+    def deadly(bench: Bench) -> None:
+        sut.stopped = sut.now
+        bench.passed("the case ends")
+
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    trial = runner._trial(case_of(deadly))
+    assert trial.loss is not None
+    assert trial.loss.died
+    assert sut.now - sut.stopped <= 1e9
+
+
 class Renamed(InProcess):
     """Draws a new identifier with each start, as a node does that was not given one."""
 

@@ -138,7 +138,7 @@ class Life:
 
         If it ever answered a summary of an unknown variable, it must answer one now, or send a VarDis payload that
         cannot be decoded. Otherwise, or if all identifiers are used up, a beacon or an answer of the upper tester
-        suffices.
+        suffices. No further probe follows once the process is known to have ended.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
         for _ in range(questions):
@@ -156,6 +156,8 @@ class Life:
             if answered or spoken or (not strict and len(bench.heard) > before):
                 self.learn(bench, answered=answered and self._can_ask(bench))
                 return True
+            if self.ended():
+                return False
             self._await_backlog(bench, before)
         return not strict and self.serves()
 
