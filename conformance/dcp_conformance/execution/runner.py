@@ -32,8 +32,8 @@ from dcp_conformance.upper_tester.faults import Violation
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed
-from .survival.attribution import Trial, attribute, blamed, came_back, kinds, with_failures_of
-from .survival.life import Life
+from .survival.attribution import Attribution, Trial, attribute, blamed, came_back, kinds, with_failures_of
+from .survival.life import Life, Loss
 from .survival.readiness import Readiness
 
 #: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
@@ -42,6 +42,8 @@ _SUSPECTS = 8
 #: Cases that a remark names.
 _NAMED = 3
 DEACTIVATE = "BP-MGMT-Deactivate"
+#: Number of cases with a confirmed death after which a death in the same way needs no second execution.
+_KNOWN = 2
 #: The expectation of cases that cannot be executed, because the implementation is lost.
 _ALIVE = "the implementation is alive"
 #: Maximum number of executions of a case that only lateness or lost frames of the tester leave undecided.
@@ -90,6 +92,8 @@ class Runner:
         """Number of times that the implementation was lost while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
         """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.survival.life.Loss.group`."""
+        self.just_started = False
+        """Whether no case has been executed since the implementation was started again."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []
@@ -271,6 +275,7 @@ class Runner:
         self.session.renewable = (
             self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
         )
+        alone = self.just_started
         trial = self._trial(case)
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
@@ -285,7 +290,9 @@ class Runner:
                 self.remember(trial, result, self.session.lower.now())
             self._refuse(case, trial)
             return result
-        result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
+        result = msgspec.structs.replace(
+            self._judge_loss(trial, attempt, alone=alone and executions == 1), executions=executions
+        )
         self._revive(case, trial)
         return result
 
@@ -375,13 +382,24 @@ class Runner:
         result = self._judge_loss(trial, last.result.attempt)
         self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
-    def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
-        """Attribute a loss to a case; return the result of the case after which the loss was found."""
+    def _known(self, loss: Loss) -> bool:
+        """Return whether several cases have ended the implementation in this way, each in two executions."""
+        return loss.died and len(self._deaths.get(loss.group, ())) >= _KNOWN
+
+    def _judge_loss(self, trial: Trial, attempt: int, *, alone: bool = False) -> CaseResult:
+        """Attribute a loss to a case; return the result of the case after which the loss was found.
+
+        ``alone``: whether the case was the first one after a start, so that no other one can be the cause. Then a known
+        way to end needs no second execution.
+        """
         assert trial.loss is not None
         suspects = [each for each in self._recent if trial.begun - each.ended <= SLOW_DEATH * 1e9]
         self._recent.clear()
-        again = self._again if self._restartable else None
-        found = attribute(trial, [each.trial.case for each in suspects], again)
+        if alone and self._known(trial.loss):
+            found = Attribution(trial, blamed(trial), killed=True)
+        else:
+            again = self._again if self._restartable else None
+            found = attribute(trial, [each.trial.case for each in suspects], again)
         result = self._result(found.trial, attempt, found.checks, killed=found.killed)
         if found.killed:
             self._count_death(trial)
@@ -394,6 +412,7 @@ class Runner:
 
     def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
         """Execute a case once, and check the implementation. ``fresh``: whether it is in its initial state already."""
+        self.just_started = False
         bench = Bench(self.session, case)
         # The applicability of the case may depend on assumptions: let the bench record them.
         why_not(bench, case)
@@ -505,12 +524,15 @@ class Runner:
         """
         if self.dead or self._unsettled:
             return None
+        alone = self.just_started
         trial = self._trial(case)
         if trial.loss is not None:
             self._recent.clear()
             if not self._restartable:
                 self._wait_for(trial)
                 return None
+            if alone and self._known(trial.loss):
+                return self._killed(trial)
             if self._restart_sut(case) or not trial.loss.died:
                 return None
             result = self.tried_alone(case)
@@ -539,12 +561,18 @@ class Runner:
             good = trial.verdict is Verdict.PASS and not trial.bench.restoration.restore_failure
             return self._result(trial, 1, trial.checks) if good and not trial.disturbed else None
         self._recent.clear()
-        died = trial.loss.died
-        if died:
-            self._count_death(trial)
-        result = self._result(trial, 1, blamed(trial), killed=True)
+        if trial.loss.died:
+            return self._killed(trial)
         self._revive(case, trial)
-        return msgspec.structs.replace(result, death=trial.loss.group) if died else None
+        return None
+
+    def _killed(self, trial: Trial) -> CaseResult:
+        """Return the result of a case that has ended the implementation, and start it again."""
+        assert trial.loss is not None
+        self._count_death(trial)
+        result = self._result(trial, 1, blamed(trial), killed=True)
+        self._revive(trial.case, trial)
+        return msgspec.structs.replace(result, death=trial.loss.group)
 
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
         """Remember a case that the implementation survived and that ended at ``ended`` (ns).
@@ -613,6 +641,7 @@ class Runner:
         self._unsettled = False
         if why := self.life.await_answer(case):
             return f"after a restart it {why}"
+        self.just_started = True
         return ""
 
     def _revive(self, case: Case, trial: Trial) -> None:

@@ -206,6 +206,33 @@ def test_an_implementation_that_ends_while_it_is_probed_gets_no_further_probe():
     assert sut.now - sut.stopped <= 1e9
 
 
+class Counted(InProcess):
+    """Counts its restarts."""
+
+    restarts = 0
+
+    def restart(self) -> None:
+        self.restarts += 1
+        super().restart()
+
+
+def test_a_known_death_right_after_a_start_needs_no_second_execution():
+    """Two cases confirm how it ends; after that the first execution of a case after a start decides."""
+    sut = Counted(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics()), sut)
+    runner.prepare()
+    counts = []
+    for name in ("0", "7", "255", "0", "255"):
+        before = sut.restarts
+        assert runner.run(known_cases()[f"TC_VD_ROB_BI_01-type-{name}"]).killed
+        counts.append(sut.restarts - before)
+    # Something was executed since the last start: another case may be the cause.
+    assert runner.run(known_cases()[NEXT]).verdict is Verdict.PASS
+    before = sut.restarts
+    assert runner.run(known_cases()["TC_VD_ROB_BI_01-type-7"]).killed
+    assert [*counts, sut.restarts - before] == [2, 2, 1, 1, 1, 2]
+
+
 class Renamed(InProcess):
     """Draws a new identifier with each start, as a node does that was not given one."""
 

@@ -200,6 +200,7 @@ class SideBySide:
             if gone or self._resets > _ATTEMPTS:
                 self._give_up(gone or why)
             return
+        self._runner.just_started = False
         scheduler = Scheduler(session.lower, session.upper, self._account)
         session.identifier_pool.in_use = self._in_use
         session.passive.begin_side_by_side(session.lower.now())
