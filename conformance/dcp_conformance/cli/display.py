@@ -117,6 +117,8 @@ class Minutes:
     def __init__(self, unit: str, out: Callable[[str], None], *, clock: Callable[[], float] = time.monotonic) -> None:
         """``unit``: what is counted, in the plural. ``out`` prints a line. ``clock``: seconds."""
         self._unit, self._out, self._clock = unit, out, clock
+        self.state: Callable[[], str] = lambda: ""
+        """Returns a clause on the state of the run for the next line; empty without one."""
         self._total = self._done = 0
         self._last = ""
         self._began = clock()
@@ -147,7 +149,8 @@ class Minutes:
         elif done:
             left = (now - begun) * max(0, self._total - done) / (done - before)
             text += f", about {left:.0f} s left; last completed: {self._last}"
-        return text
+        state = self.state()
+        return f"{text}; {state}" if state else text
 
     def _print(self) -> None:
         while not self._ended.wait(_MINUTE):
@@ -173,25 +176,25 @@ class Display:
         self._console = console()
         self._progress = progress_bar(quiet=quiet)
         self._task: TaskID | None = None
-        self._minutes = Minutes("cases", self.waiting)
+        self.minutes = Minutes("cases", self.waiting)
 
     def __enter__(self) -> Self:
         self._progress.start()
         # The progress bar shows the same.
         if self._progress.disable and not self._quiet:
-            self._minutes.__enter__()
+            self.minutes.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._minutes.__exit__(kind, error, trace)
+        self.minutes.__exit__(kind, error, trace)
         self._progress.stop()
 
     def start(self, total: int) -> None:
         """Set the number of test cases of the run."""
         self._task = self._progress.add_task("cases", total=total)
-        self._minutes.start(total)
+        self.minutes.start(total)
 
     def waiting(self, what: str) -> None:
         """Print a message on standard error: what the run waits for, or a fault of the adapter."""
@@ -202,7 +205,7 @@ class Display:
         """Show the result of a completed test case."""
         if self._task is not None:
             self._progress.update(self._task, advance=1, description=data(case.id))
-        self._minutes.done(case.id)
+        self.minutes.done(case.id)
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
         if self._quiet or not (notable or self._verbose):
             return

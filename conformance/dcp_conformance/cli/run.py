@@ -103,6 +103,7 @@ def command(**options: Any) -> int:
         on_result=None if extra else display.result,
     )
     run.on_wait = display.waiting
+    display.minutes.state = run.restarts
     if options["dry_run"]:
         for case in run.selected:
             say(f"{case.id}  {case.purpose}")

@@ -164,6 +164,14 @@ class ConformanceRun:
                 planned.append(sanity)
         return planned
 
+    def restarts(self) -> str:
+        """Return how often the implementation was restarted, and whether it is waited for; empty without a restart."""
+        runner = self._runner
+        if runner is None or not runner.restarts:
+            return ""
+        times = "once" if runner.restarts == 1 else f"{runner.restarts} times"
+        return f"restarted {times}" + (", waiting for it to answer" if runner.restarting else "")
+
     # -- running -------------------------------------------------------------------------------------------------------
 
     def execute(self, on_revised: Callable[[CaseResult], None] | None = None) -> None:

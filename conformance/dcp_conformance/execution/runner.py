@@ -105,6 +105,10 @@ class Runner:
         """Cases whose changes could not be undone, with the reason."""
         self._ignored: list[str] = []
         """Sentences on frames with its own identifier that the implementation reported at first."""
+        self.restarts = 0
+        """Number of restarts."""
+        self.restarting = False
+        """Whether the implementation has not answered since its last restart."""
         self._renewals = 0
         """Number of restarts because identifiers were used up."""
         self._disturbed: dict[str, str] = {}
@@ -631,6 +635,8 @@ class Runner:
     def _restart_sut(self, case: Case) -> str:
         """Restart the implementation and wait until it answers; return why that failed, or an empty text."""
         assert self.control is not None
+        self.restarts += 1
+        self.restarting = True
         try:
             self.control.restart()
         except Exception as error:
@@ -641,7 +647,7 @@ class Runner:
         self._unsettled = False
         if why := self.life.await_answer(case):
             return f"after a restart it {why}"
-        self.just_started = True
+        self.just_started, self.restarting = True, False
         return ""
 
     def _revive(self, case: Case, trial: Trial) -> None:

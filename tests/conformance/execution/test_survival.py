@@ -109,6 +109,7 @@ def test_a_restarted_implementation_gets_time_to_start():
     verdict = result.verdict
     assert verdict is Verdict.PASS, result.reason
     assert "was restarted" in runner.notes[-1]
+    assert (runner.restarts, runner.restarting) == (2, False)
     # Its evidence begins with the case.
     assert len([event for event in result.evidence if event.direction == "sent"]) < 4
 
@@ -125,6 +126,7 @@ def test_an_implementation_that_does_not_come_back_fails_nothing_else():
     assert verdict is Verdict.INCONCLUSIVE
     assert runner.dead.endswith("died in TC_VD_ROB_BI_01-type-0; after a restart it does not answer within 30 s")
     assert runner.dead in runner.notes
+    assert runner.restarting
     assert "TC_VD_ROB_BI_01-type-0" in result.reason
 
 

@@ -23,6 +23,13 @@ def test_the_line_has_the_time_that_is_left_and_the_last_case() -> None:
     assert minutes.line() == "50 of 200 cases after 60 s, about 180 s left; last completed: TC_49"
 
 
+def test_the_line_tells_what_the_run_waits_for() -> None:
+    minutes = Minutes("cases", print, clock=lambda: 0.0)
+    minutes.start(20)
+    minutes.state = lambda: "restarted 3 times, waiting for it to answer"
+    assert minutes.line() == "0 of 20 cases after 0 s; restarted 3 times, waiting for it to answer"
+
+
 def test_the_remaining_time_is_estimated_from_the_last_two_minutes() -> None:
     """The first cases of a run are executed side by side, and the last ones alone."""
     clock = itertools.count(0, 60)
