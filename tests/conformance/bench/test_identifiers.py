@@ -82,3 +82,23 @@ def test_a_deleted_variable_is_gone_after_its_repetitions():
     parts.link.time = 1000
     assert parts.identifiers.departure() == 1000 + 6 * PERIOD
     assert parts.run.sut_id == SUT
+
+
+def test_a_variable_that_returns_after_each_reset_by_itself_is_an_applications():
+    """The first beacons after a reset may have been composed before it."""
+    pool = IdentifierPool(0, 15, leave=False, timed=True)
+    assert pool.unknown(2, 0) == [15, 14]
+
+    def reset_and_hear(beacon: int, var_id: int) -> bool:
+        pool.forget()
+        for number in range(1, 10):
+            pool.heard({var_id} if number == beacon else (), (), 0)
+        return var_id in pool.foreign
+
+    assert not any(reset_and_hear(1, 15) for _ in range(5))
+    assert [reset_and_hear(5, 14), reset_and_hear(5, 14)] == [False, True]
+    pool.forget()
+    pool.offered(15, 1)
+    pool.heard({15}, (), 0)
+    assert 15 not in pool.foreign
+    assert 14 not in pool.unknown(15, 0)

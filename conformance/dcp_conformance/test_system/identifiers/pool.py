@@ -7,11 +7,17 @@ not get the identifier of such a variable: it would fail because of an earlier c
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 #: Number of beacons without a record of a deleted variable after which, up to 1.3, it counts as removed.
 _QUIET = 8
+#: Number of beacons after a reset that may still have been composed before it.
+_STALE = 3
+#: Number of resets after which an identifier must turn up by itself to count as an application's, although the tester
+#: has handed it out before.
+_SHOWN = 2
 #: One of this many identifiers is reserved for variables that remain unknown: probes, requests, summaries.
 _KEPT = 4
 
@@ -62,7 +68,12 @@ class IdentifierPool:
         self.in_use: Callable[[], Iterable[int]] = frozenset
         """The identifiers used by the other cases that are being executed at this moment."""
         self.foreign: set[int] = set()
-        """Variables that the implementation had before the tester handed out their identifiers: of an application."""
+        """Variables that the implementation has without a request or frame of the tester: of an application."""
+        self._beacons = 0
+        """Number of beacons since the last reset."""
+        self._unasked: Counter[int] = Counter()
+        """By identifier that was handed out: the number of resets after which the implementation had the variable
+        although the tester had not offered it."""
         self._handed: set[int] = set()
         """The identifiers that were handed out."""
         self._next_unknown = 0
@@ -71,6 +82,7 @@ class IdentifierPool:
     def forget(self) -> None:
         """Record a reset of the implementation: its database is empty. The order of identifiers continues."""
         self._uses.clear()
+        self._beacons = 0
 
     # -- events --------------------------------------------------------------------------------------------------------
 
@@ -97,12 +109,15 @@ class IdentifierPool:
         ``alive``: variables that its database must hold to send the beacon. ``deleted``: variables with a VarDelete.
         ``leaves``: the time by which the last repetition was sent.
         """
+        self._beacons += 1
         if self._leave:
             for use in self._uses.values():
                 use.beacons += 1
         for var_id in alive:
-            if var_id not in self._handed and var_id not in self._uses and var_id not in self._kept:
-                self.foreign.add(var_id)
+            if var_id not in self._uses and var_id not in self._kept:
+                self._unasked[var_id] += self._beacons > _STALE
+                if var_id not in self._handed or self._unasked[var_id] >= _SHOWN:
+                    self.foreign.add(var_id)
             self.offered(var_id, by_peer=var_id in self._uses)
         for var_id in deleted:
             use = self._uses.setdefault(var_id, _Use(peers_only=False))
