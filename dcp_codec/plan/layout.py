@@ -157,8 +157,9 @@ class ValueTypes:
         )
         classes = {**VALUE_CLASSES, "SafetyData": self.safety_data}
         vardis = profile.vardis
-        for name, own in vardis.own_fields().items():
-            classes[name] = _extended(name, own)
+        for name, own in profile.own_fields().items():
+            if name != "ExtendedSafetyData":
+                classes[name] = _extended(name, own)
         records = {container.type_name: container.record for container in vardis.own_containers}
         if profile.srp.record and not profile.srp.is_report:
             records["OwnReport"] = profile.srp.record

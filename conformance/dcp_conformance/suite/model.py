@@ -17,8 +17,6 @@ def _limits(bench: Bench) -> str | None:
     """Return why the model cannot judge the implementation, or None; for ``Needs.when``."""
     if bench.profile.types.protocol_id.width < 2:
         return "the profile has too few identifiers of protocols"
-    if bench.profile.vardis.own_fields():
-        return "the model has no rules for the fields that the profile adds"
     return bench.sut.lacks("queue_entries", _PLACES) or bench.sut.lacks("clients", _CLIENTS) or None
 
 
