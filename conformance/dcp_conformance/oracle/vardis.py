@@ -13,10 +13,10 @@ from typing import Any, Final
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate, VardisRecord, VarSpec, VarUpdate
+from dcp_codec.values import VarCreate, VardisRecord, VarSpec, VarUpdate, own_values
 
 from .knowledge import VERSIONS, Complaint, Obligation, State, Variable, Version
-from .model import DELETION, Model, key_of, own_values
+from .model import DELETION, Model, key_of
 from .repetitions import Key
 
 # Module-level names: faster than attributes of the enumeration in comparisons for each record.

@@ -267,6 +267,11 @@ class VardisLayout(Part, frozen=True):
     records: Annotated[RecordLayouts, Meta(description="Members of the instruction records.")] = RecordLayouts()
     own_containers: Annotated[tuple[OwnContainer, ...], Meta(description="Container types of your own.")] = ()
 
+    def container_names(self) -> dict[int, str]:
+        """Return the names of all container types by their numbers."""
+        specified = {number: name for name, number in self.container_types.by_name().items()}
+        return specified | {each.number: each.name for each in self.own_containers}
+
 
 class Limits(Part, frozen=True):
     """Limits of the implementation; they bound what it sends and takes."""
