@@ -23,8 +23,7 @@ _OCTETS_A_LINE = 8
 def example_beacon(codec: Codec) -> Beacon:
     """Return a beacon with a state report, if the profile has one, and the creation and summary of a variable."""
     profile = codec.profile
-    node = b"\x02\x00\x00\x00\x00\x01"
-    node_id = node.hex(":").encode() if profile.types.node_id.length is not None else _sized(node, codec)
+    node_id = profile.types.node_id.of(b"\x02\x00\x00\x00\x00\x01")
     header = None
     if profile.bp.header:
         network_id = profile.bp.network_id if profile.has_header_field("networkId") else None
@@ -49,11 +48,6 @@ def _record(plan: Node) -> Group:
 def _blank(group: Group, codec: Codec) -> Any:
     """Return a record of zeros."""
     return codec.types[group.type_name](*(zero(member) for member in group.members))
-
-
-def _sized(node: bytes, codec: Codec) -> bytes:
-    width = codec.profile.types.node_id.width
-    return node.rjust(width, b"\0")[-width:]
 
 
 def _now(codec: Codec) -> int:

@@ -57,7 +57,7 @@ class ValidValues:
         self._spec_fields = codec.profile.vardis.var_spec
         self.longest_value = _longest(types.value.lengths, terminated=types.value.terminated)
         self.longest_text = _longest(types.string.lengths, terminated=types.string.terminated)
-        self._nodes = [self._node_id(number) for number in range(1, 6)]
+        self._nodes = [types.node_id.of(bytes((0x02, 0xDC, 0x90, 0, 0, number))) for number in range(1, 6)]
         self._data = self._data_fields()
         self._made = RecordFactory(codec, lambda _record, member: self._added(member))
         self._fields: dict[str, Callable[[], int | bytes]] = {
@@ -101,13 +101,6 @@ class ValidValues:
     def node_id(self) -> bytes:
         """Draw a node identifier from a small set, so that identifiers recur."""
         return self._chance.one_of(self._nodes)
-
-    def _node_id(self, number: int) -> bytes:
-        layout = self._types.node_id
-        octets = bytes((0x02, 0xDC, 0x90, 0, 0, number))
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def var_id(self) -> int:
         """Draw a variable, mostly from a small set, so that variables recur."""

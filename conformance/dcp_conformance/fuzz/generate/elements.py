@@ -52,14 +52,8 @@ class Parts:
         """Return the node identifier of a station."""
         found = self._nodes.get(number)
         if found is None:
-            found = self._nodes[number] = self._identifier(number)
+            found = self._nodes[number] = self.codec.profile.types.node_id.of(self._address(number))
         return found
-
-    def _identifier(self, number: int) -> bytes:
-        layout, octets = self.codec.profile.types.node_id, self._address(number)
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
         """Return a beacon of a station; consecutive records of one kind share a container."""

@@ -28,11 +28,7 @@ class Samples:
 
     def node(self, number: int = 1) -> bytes:
         """Return the node identifier of a station."""
-        layout = self.codec.profile.types.node_id
-        octets = _STATION[:-2] + number.to_bytes(2, "big")
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
+        return self.codec.profile.types.node_id.of(_STATION[:-2] + number.to_bytes(2, "big"))
 
     def record(self, kind: ICType, var_id: int = 0) -> VardisRecord:
         """Return a record of a kind."""
