@@ -140,6 +140,18 @@ VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarR
 AnyRecord = TypeVar("AnyRecord", bound=VardisRecord | VarSpec | ExtendedSafetyData | OwnRecord)
 
 
+def own_values(record: msgspec.Struct) -> Extra:
+    """Return the values of the fields that the profile adds to a record, in wire order."""
+    found: Extra = getattr(record, "extra", ())
+    return found
+
+
+def attributes(record: msgspec.Struct) -> list[str]:
+    """Return the names of the attributes of a record, last those of the fields that the profile adds."""
+    added: tuple[str, ...] = getattr(record, "ADDED", ())
+    return [*(name for name in record.__struct_fields__ if name != "extra"), *added]
+
+
 class Container(msgspec.Struct, frozen=True, gc=False):
     """An instruction container: 1 to 255 records of one type, which ``ic_type`` selects in the profile."""
 

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 import msgspec
-from dcp_spec.profile.definition import own_fields
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import EncodeError
@@ -31,14 +30,11 @@ class OwnFields:
 
     def __init__(self, codec: Codec, rules: Mapping[str, Rule]) -> None:
         """``rules`` replace :data:`FIELD_RULES`; those for fields that the profile does not have are ignored."""
-        profile, rules = codec.profile, {**FIELD_RULES, **rules}
-        added = profile.vardis.own_fields()
-        if profile.srp.is_report and (own := own_fields(profile.srp.record)):
-            added["ExtendedSafetyData"] = own
+        rules = {**FIELD_RULES, **rules}
         self._codec = codec
         self._rules: dict[str, dict[str, Rule]] = {
             record: {each.name: rules.get(f"{record}.{each.name}", _always(neutral(each))) for each in own}
-            for record, own in added.items()
+            for record, own in codec.profile.own_fields().items()
         }
 
     def __bool__(self) -> bool:

@@ -135,8 +135,7 @@ class Stats:
         self.doubt: str | None = None
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
-        self._names = {number: name for name, number in numbers.items()}
-        self._names |= {own.number: own.name for own in codec.profile.vardis.own_containers}
+        self._names = codec.profile.vardis.container_names()
         self._updates = numbers["UPDATES"]
         self._creates = numbers["CREATE-VARIABLES"]
         self.frames = 0

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan.tree import Exact, Fill, Group, Node, Rest, Scalar
-from dcp_codec.values import (
-    Beacon,
-    BPHeader,
-    Container,
-    ExtendedSafetyData,
-    Payload,
-)
+from dcp_codec.records import RecordFactory
+from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload
 from dcp_codec.views.encode_diagnosis import zero
 from dcp_codec.views.fields import Field
 
@@ -28,8 +23,7 @@ _OCTETS_A_LINE = 8
 def example_beacon(codec: Codec) -> Beacon:
     """Return a beacon with a state report, if the profile has one, and the creation and summary of a variable."""
     profile = codec.profile
-    node = b"\x02\x00\x00\x00\x00\x01"
-    node_id = node.hex(":").encode() if profile.types.node_id.length is not None else _sized(node, codec)
+    node_id = profile.types.node_id.of(b"\x02\x00\x00\x00\x00\x01")
     header = None
     if profile.bp.header:
         network_id = profile.bp.network_id if profile.has_header_field("networkId") else None
@@ -56,11 +50,6 @@ def _blank(group: Group, codec: Codec) -> Any:
     return codec.types[group.type_name](*(zero(member) for member in group.members))
 
 
-def _sized(node: bytes, codec: Codec) -> bytes:
-    width = codec.profile.types.node_id.width
-    return node.rjust(width, b"\0")[-width:]
-
-
 def _now(codec: Codec) -> int:
     stamp = codec.profile.types.timestamp
     since = _NOW_S if stamp.epoch_ns is not None else 12
@@ -69,32 +58,23 @@ def _now(codec: Codec) -> int:
 
 
 def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:
-    values: dict[str, Any] = {}
-    for number, member in enumerate(codec.profile.srp.safety_data, start=1):
-        if member.type == "opaque":
-            values[member.name] = bytes(member.octets)
-        else:
-            values[member.name] = number * 1.5 if member.type.startswith("f") else number
-    return ExtendedSafetyData(codec.safety_data_type(**values), node_id, _now(codec), 7)
+    values = {
+        member.name: number * 1.5 if member.type.startswith("f") else number
+        for number, member in enumerate(codec.profile.srp.safety_data, start=1)
+        if member.type != "opaque"
+    }
+    return RecordFactory(codec).report(node_id, _now(codec), 7, values)
 
 
 def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
-    # A profile that adds fields to a record has its own class for it.
-    types = codec.types
+    made = RecordFactory(codec)
     numbers = codec.profile.vardis.container_types.by_name()
-    has = codec.profile.vardis.var_spec
-    spec = types["VarSpec"](
-        7,
-        node_id,
-        2,
-        b"pos",
-        _now(codec) if "creationTime" in has else None,
-        5000 % (1 << 8 * codec.profile.types.var_timeout.width) if "timeout" in has else None,
-    )
-    create = types["VarCreate"](spec, types["VarUpdate"](7, 3, b"ABCD"))
+    timeout = 5000 % (1 << 8 * codec.profile.types.var_timeout.width)
+    create = made.create(made.spec(7, node_id, 2, b"pos", _now(codec), timeout), 3, b"ABCD")
+    summaries = made.record(ICType.SUMMARIES, 7, 3), made.record(ICType.SUMMARIES, 9)
     return (
         Container(numbers["CREATE-VARIABLES"], (create,)),
-        Container(numbers["SUMMARIES"], (types["VarSumm"](7, 3), types["VarSumm"](9, 0))),
+        Container(numbers["SUMMARIES"], summaries),
     )
 
 

@@ -157,8 +157,9 @@ class ValueTypes:
         )
         classes = {**VALUE_CLASSES, "SafetyData": self.safety_data}
         vardis = profile.vardis
-        for name, own in vardis.own_fields().items():
-            classes[name] = _extended(name, own)
+        for name, own in profile.own_fields().items():
+            if name != "ExtendedSafetyData":
+                classes[name] = _extended(name, own)
         records = {container.type_name: container.record for container in vardis.own_containers}
         if profile.srp.record and not profile.srp.is_report:
             records["OwnReport"] = profile.srp.record
@@ -209,11 +210,12 @@ class ValueTypes:
 def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
     """Create the class of a specified record with fields of the profile, kept in ``extra`` and readable by name."""
     readers = {snake(member.name): property(_Entry(place)) for place, member in enumerate(own)}
+    names: dict[str, Any] = {"ADDED": tuple(readers)}
     return msgspec.defstruct(
         name,
         [("extra", Extra, tuple(neutral(member) for member in own))],
         bases=(VALUE_CLASSES[name],),
-        namespace=readers,
+        namespace=names | readers,
         frozen=True,
         gc=False,
         module=__name__,

@@ -11,18 +11,21 @@ import functools
 import math
 import random
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, IC_MAX_RECORDS, ICType
+from dcp_spec.profile.definition import OwnContainer, OwnField
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import EncodeError
-from dcp_codec.plan.tree import snake
+from dcp_codec.plan.layout import neutral
+from dcp_codec.records import RecordFactory
 from dcp_codec.values import (
     Beacon,
     BPHeader,
     Container,
     ExtendedSafetyData,
+    OwnRecord,
     Payload,
     VarCreate,
     VarDelete,
@@ -39,7 +42,6 @@ from .draws import Draws
 #: Probability of a boundary value for a number.
 _EDGE = 0.4
 _FLOATS = (0.0, -0.0, 1.5, -1e6, math.inf, -math.inf, math.nan)
-_KINDS = tuple(ICType)
 
 
 class ValidValues:
@@ -55,8 +57,20 @@ class ValidValues:
         self._spec_fields = codec.profile.vardis.var_spec
         self.longest_value = _longest(types.value.lengths, terminated=types.value.terminated)
         self.longest_text = _longest(types.string.lengths, terminated=types.string.terminated)
-        self._nodes = [self._node_id(number) for number in range(1, 6)]
+        self._nodes = [types.node_id.of(bytes((0x02, 0xDC, 0x90, 0, 0, number))) for number in range(1, 6)]
         self._data = self._data_fields()
+        self._made = RecordFactory(codec, lambda _record, member: self._added(member))
+        self._fields: dict[str, Callable[[], int | bytes]] = {
+            "varId": self.var_id,
+            "prodId": self.node_id,
+            "seqno": self.seqno,
+            "value": self.value,
+            "repCnt": lambda: self.number(types.var_rep_cnt.width, signed=types.var_rep_cnt.signed),
+            "descr": lambda: self.octets(self.longest_text, nul=not types.string.terminated),
+            "creationTime": lambda: self.number(types.timestamp.width, signed=types.timestamp.signed),
+            "timeout": lambda: self.number(types.var_timeout.width, signed=types.var_timeout.signed),
+        }
+        self._containers: tuple[ICType | OwnContainer, ...] = (*ICType, *codec.profile.vardis.own_containers)
         self._records: dict[ICType, Callable[[], VardisRecord]] = {
             ICType.SUMMARIES: lambda: VarSumm(self.var_id(), self.seqno()),
             ICType.UPDATES: lambda: VarUpdate(self.var_id(), self.seqno(), self.value()),
@@ -88,13 +102,6 @@ class ValidValues:
         """Draw a node identifier from a small set, so that identifiers recur."""
         return self._chance.one_of(self._nodes)
 
-    def _node_id(self, number: int) -> bytes:
-        layout = self._types.node_id
-        octets = bytes((0x02, 0xDC, 0x90, 0, 0, number))
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
-
     def var_id(self) -> int:
         """Draw a variable, mostly from a small set, so that variables recur."""
         if self.rng.random() < 0.7:
@@ -103,15 +110,9 @@ class ValidValues:
 
     def var_spec(self, var_id: int) -> VarSpec:
         """Draw the static attributes of a variable."""
-        stamp, timeout = self._types.timestamp, self._types.var_timeout
-        return VarSpec(
-            var_id,
-            self.node_id(),
-            self.number(self._types.var_rep_cnt.width, signed=self._types.var_rep_cnt.signed),
-            self.octets(self.longest_text, nul=not self._types.string.terminated),
-            self.number(stamp.width, signed=stamp.signed) if "creationTime" in self._spec_fields else None,
-            self.number(timeout.width, signed=timeout.signed) if "timeout" in self._spec_fields else None,
-        )
+        names = ("prodId", "repCnt", "descr", "creationTime", "timeout")
+        drawn: list[Any] = [self._fields[name]() if name in self._spec_fields else None for name in names]
+        return VarSpec(var_id, *drawn)
 
     def seqno(self) -> int:
         """Draw a sequence number of a variable."""
@@ -121,20 +122,33 @@ class ValidValues:
         """Draw the value of a variable."""
         return self.octets(self.longest_value, nul=not self._types.value.terminated)
 
-    def record(self, kind: ICType) -> VardisRecord:
-        """Draw a record of type ``kind``."""
-        return self._records[kind]()
+    def _added(self, member: OwnField) -> int | float | bytes:
+        """Draw the value of a field that the profile adds; octets without a meaning are zeros."""
+        if member.extra is not None:
+            return self.number(member.extra.width, signed=member.extra.signed)
+        if member.block is not None:
+            longest = _longest(member.block.lengths, terminated=member.block.terminated)
+            return self.octets(longest, nul=not member.block.terminated)
+        return neutral(member) if member.real is None else self._chance.one_of(_FLOATS)
+
+    def record(self, kind: ICType | OwnContainer) -> VardisRecord | OwnRecord:
+        """Draw a record of a container type."""
+        if isinstance(kind, ICType):
+            return self._made.filled(self._records[kind]())
+        made: Any = self.codec.types[kind.type_name]
+        members = (self._fields[each]() if isinstance(each, str) else self._added(each) for each in kind.record)
+        return cast(OwnRecord, made(*members))
 
     def _create(self) -> VarCreate:
         var_id = self.var_id()
         return VarCreate(self.var_spec(var_id), VarUpdate(var_id, self.seqno(), self.value()))
 
-    def container(self, kind: ICType | None = None, count: int | None = None) -> Container:
+    def container(self, kind: ICType | OwnContainer | None = None, count: int | None = None) -> Container:
         """Draw a container with ``count`` records of type ``kind``."""
-        kind = self._chance.one_of(_KINDS) if kind is None else kind
+        kind = self._chance.one_of(self._containers) if kind is None else kind
         count = self._chance.one_of((1, 1, 2, 3)) if count is None else count
-        record = self._records[kind]
-        return Container(self._numbers[kind.label], tuple([record() for _ in range(count)]))
+        number = self._numbers[kind.label] if isinstance(kind, ICType) else kind.number
+        return Container(number, tuple([self.record(kind) for _ in range(count)]))
 
     def report(self) -> ExtendedSafetyData:
         """Draw a state report."""
@@ -142,11 +156,10 @@ class ValidValues:
         data = self.codec.safety_data_type(**{name: draw() for name, draw in self._data})
         stamp = self.number(types.timestamp.width, signed=types.timestamp.signed)
         seqno = self.number(types.srp_seqno.width, signed=types.srp_seqno.signed)
-        return ExtendedSafetyData(data, self.node_id(), stamp, seqno)
+        return self._made.filled(ExtendedSafetyData(data, self.node_id(), stamp, seqno))
 
     def _data_fields(self) -> list[tuple[str, Callable[[], Any]]]:
         """Return the attributes of the profile's safety data, each with a function that draws its value."""
-        known = self.codec.safety_data_type.__struct_fields__
         found: list[tuple[str, Callable[[], Any]]] = []
         for field in self.codec.profile.srp.safety_data:
             draw: Callable[[], Any]
@@ -156,7 +169,7 @@ class ValidValues:
                 draw = functools.partial(self._chance.one_of, _FLOATS)
             else:
                 draw = functools.partial(self.number, field.width, signed=field.type.startswith("i"))
-            found.append((snake(field.name) if snake(field.name) in known else field.name, draw))
+            found.append((field.name, draw))
         return found
 
     def header(self) -> BPHeader | None:

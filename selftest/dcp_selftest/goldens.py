@@ -215,7 +215,7 @@ class Tally:
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
-        self._names = {number: name for name, number in codec.profile.vardis.container_types.by_name().items()}
+        self._names = codec.profile.vardis.container_names()
         self._scalars = dict.fromkeys(("beacons", "srp", "vardis", "padded"), 0)
         self._containers: dict[str, int] = {}
         self._records: dict[str, int] = {}

@@ -10,7 +10,7 @@ from dcp_codec import Codec, DecodeError
 from dcp_codec.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
 from dcp_codec.testing.mutation_values import ValidValues, valid_beacons
 
-from ..odd_profiles import BUILT_IN
+from ..odd_profiles import BUILT_IN, codec_of
 from ..parts import every
 
 
@@ -107,3 +107,14 @@ def test_added_elements_are_mutated():
     mutator = Mutator(codec, random.Random(1), [first])
     mutator.add(second)
     assert {mutator.mutate().source for _ in range(100)} == {first, second}
+
+
+def test_fields_and_containers_that_a_profile_adds_are_drawn(tmp_path):
+    codec = codec_of("odd-own", tmp_path)
+    values = ValidValues(codec, random.Random(1))
+    drawn = [record for _ in range(200) for record in values.container().records]
+    kinds = {type(each).__name__ for each in drawn}
+    assert {"GeoFence", "Ping"} < kinds
+    for name in ("VarSumm", "VarReqCreate", "VarCreate", "VarDelete"):
+        assert len({each.extra for each in drawn if type(each).__name__ == name}) > 3, name
+    assert all(codec.decode(octets) for octets in valid_beacons(codec, random.Random(3), 80))

@@ -10,7 +10,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import TargetOptions, describe
 from dcp_conformance.frames.builder import FrameBuilder
-from dcp_conformance.frames.sampling import Sampler, plain
+from dcp_conformance.frames.sampling import plain, sampler
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -62,10 +62,10 @@ def test_sizes_of_records_with_fields_of_the_profile(tmp_path: Path) -> None:
 
 
 def test_records_of_the_tester_have_values_in_these_fields(tmp_path: Path) -> None:
-    sampler = Sampler(codec_of("odd-records", tmp_path))
-    made = sampler.filled(VarCreate(VarSpec(1, bytes(6), 1, b"d", 1, 0), VarUpdate(1, 4, b"v")))
+    made_by = sampler(codec_of("odd-records", tmp_path))
+    made = made_by.filled(VarCreate(VarSpec(1, bytes(6), 1, b"d", 1, 0), VarUpdate(1, 4, b"v")))
     assert (made.extra, made.spec.extra, made.upd.extra) == ((1.0,), (1, b"\0\0"), (5, b"\0\0"))  # type: ignore[attr-defined]
-    assert sampler.filled(made) is made
+    assert made_by.filled(made) is made
     assert plain(made.upd) == VarUpdate(1, 4, b"v")
 
 

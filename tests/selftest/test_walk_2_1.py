@@ -63,6 +63,7 @@ def test_the_version_takes_five_files(tree: Path) -> None:
         before = originals[each.parts[0]].joinpath(*each.parts[1:])
         if not before.exists() or not filecmp.cmp(before, tree / each, shallow=False):
             different.append(str(each))
+    print("files of the walk:", *sorted(different), sep="\n  ")
     assert sorted(different) == [
         "dcp_spec/constants.py",
         "dcp_spec/profiles/dcp-2.1.toml",
@@ -96,6 +97,21 @@ def test_a_scenario_gives_the_new_fields(walk: Walk) -> None:
     assert not found["failed"]
 
 
+def test_check_judges_recordings_with_the_new_fields_and_the_new_container(walk: Walk) -> None:
+    found = walk("check")
+    assert found["containers"] == [1, 2, 5, 7]
+    assert found["right"] == {}
+    assert list(found["wrong"]) == ["CK_VD_VALUE"]
+    assert "variable 7, seqno 1: ttl 3 -> 200 at 02:" in found["wrong"]["CK_VD_VALUE"]
+
+
+def test_the_fuzzer_draws_the_new_fields_and_the_new_container(walk: Walk) -> None:
+    found = walk("fuzz")
+    assert found["sent"]
+    assert found["ttl"] > 10
+    assert (found["cases"], found["findings"]) == (200, [])
+
+
 def test_cases_notice_fields_that_are_not_forwarded(walk: Walk) -> None:
     found = walk("cases")
     assert {each.split(":")[0] for each in found["right"].values()} == {"pass"}
@@ -104,7 +120,9 @@ def test_cases_notice_fields_that_are_not_forwarded(walk: Walk) -> None:
         "TC_NET_JOIN_BV_02",
         "TC_NET_JOIN_BV_03",
         "TC_NET_JOIN_BV_05-update",
+        "TC_DCP_MODEL_BV_01-own-variable-01",
     ]
+    assert "the added fields ttl 1 for number 0: ttl 200" in found["wrong"]["TC_DCP_MODEL_BV_01-own-variable-01"]
 
 
 @pytest.mark.part("suite")
@@ -112,4 +130,4 @@ def test_every_case_for_the_latest_version_applies_and_passes(walk: Walk) -> Non
     found = walk("suite")
     assert found["not fine"] == []
     assert set(found["excluded"]) <= set(found["excluded in 2.0"])
-    assert found["passed"] > 600
+    assert found["passed"] > 1200

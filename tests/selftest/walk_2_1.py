@@ -153,17 +153,10 @@ def node(_folder: Path) -> dict[str, Any]:
     return {"created": created, "changed": fields(), "dropped": sorted(dropped), "wrong": wrong}
 
 
-def simulator(folder: Path) -> dict[str, Any]:
-    """A scenario in which a variable has a priority, and its update a ttl."""
-    from dcp_stack.sim.scenario.loading import load_scenario
-    from dcp_stack.sim.virtual.player import Simulation
-
-    path = folder / "scenario.toml"
-    path.write_text(
-        """
+SCENARIO = """
 profile = "dcp-2.1"
 nodes = 3
-duration_s = 4
+duration_s = 10
 topology = "line"
 
 [[events]]
@@ -172,6 +165,7 @@ do = "create"
 node = 0
 variable = 7
 text = "one"
+repetitions = 3
 own_fields = { priority = 5 }
 
 [[events]]
@@ -181,11 +175,52 @@ node = 0
 variable = 7
 text = "two"
 own_fields = { ttl = 3 }
-""",
-        encoding="utf-8",
-    )
-    player = Simulation(load_scenario(path))
-    report = player.run()
+"""
+
+
+def announce() -> None:
+    """Let nodes send container 7 about each variable that they store."""
+    from dcp_stack.vardis.core import Core
+
+    changed = Core.changed
+
+    def also(core: Core, event: str, entry: Any) -> None:
+        changed(core, event, entry)
+        if event != "deleted":
+            core.database.queues["SET-PRIORITY"].append(entry.spec.var_id)
+
+    Core.changed = also  # type: ignore[method-assign]
+
+
+def forget() -> None:
+    """Let nodes lose the ttl of received VarUpdates, and forward their own one."""
+    from types import SimpleNamespace
+
+    from dcp_stack.vardis.receive import Receiver
+
+    begin = Receiver.__init__
+
+    def losing(receiver: Receiver, *arguments: Any) -> None:
+        begin(receiver, *arguments)
+        receiver._own_fields = SimpleNamespace(keep=lambda *_: None)  # type: ignore[assignment]
+
+    Receiver.__init__ = losing  # type: ignore[method-assign]
+
+
+def _played(folder: Path) -> Any:
+    """Play the scenario, and record it in ``folder``."""
+    from dcp_stack.sim.scenario.loading import load_scenario
+    from dcp_stack.sim.virtual.player import Simulation
+
+    path = folder / "scenario.toml"
+    path.write_text(SCENARIO, encoding="utf-8")
+    player = Simulation(load_scenario(path), record_medium=folder / "flight.mcap")
+    return player, player.run()
+
+
+def simulator(folder: Path) -> dict[str, Any]:
+    """A scenario in which a variable has a priority, and its update a ttl."""
+    player, report = _played(folder)
     entries = [each.vardis.entry(7) for each in map(player.network.node, range(3))]
     return {
         "failed": [each.what for each in report.findings if not each.met],
@@ -193,13 +228,77 @@ own_fields = { ttl = 3 }
     }
 
 
-#: Cases that forward each kind of record, and read what the node made itself.
+def check(folder: Path) -> dict[str, Any]:
+    """A recording of our nodes, and one of nodes that do not keep the ttl."""
+    from dcp_codec.capture import open_capture
+    from dcp_codec.codec import Codec
+
+    announce()
+    right = _judged(folder)
+    with open_capture(folder / "flight.mcap") as reader:
+        frames = [Codec("dcp-2.1").decode(each.data[14:]) for each in reader]
+    kinds = {part.ic_type for each in frames for payload in each.payloads for part in payload.vardis or ()}
+    forget()
+    return {"right": right, "wrong": _judged(folder), "containers": sorted(kinds)}
+
+
+def _judged(folder: Path) -> dict[str, str]:
+    """Return the rules that are not passed, each with the first finding."""
+    from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.model.pics import Pics
+
+    _played(folder)
+    result, _ = judge_recording(folder / "flight.mcap", "dcp-2.1", Pics())
+    return {each.id: f"{each.verdict}: {each.reason}" for each in result.cases if str(each.verdict) == "fail"}
+
+
+def fuzz(_folder: Path) -> dict[str, Any]:
+    """A short campaign against our node, and the values of the field and the container that it sends."""
+    import random
+
+    from dcp_conformance.fuzz import Campaign, Frame, Limits
+    from dcp_conformance.fuzz.execute.stack import StackTarget
+    from dcp_conformance.fuzz.findings.artefact import SavedTarget
+    from dcp_conformance.fuzz.generate.sequences import Sequences
+
+    from dcp_codec.codec import Codec
+    from dcp_codec.testing.mutation import Mutator, drawn_pool
+
+    announce()
+    target, rng = StackTarget(Codec("dcp-2.1")), random.Random(1)
+    mutator = Mutator(target.codec, rng, drawn_pool(target.codec, rng, 80))
+    sequences = Sequences(target.codec, rng, target.own_id, mutator)
+    drawn = [step.octets for _ in range(100) for step in sequences.draw() if isinstance(step, Frame)]
+    parts = [part for each in drawn for part in _containers(target.codec, each)]
+    state = Campaign(target.codec, target, sequences, SavedTarget("stack", target.name), 1, mutator=mutator).run(
+        Limits(cases=200)
+    )
+    return {
+        "findings": list(state.findings),
+        "cases": state.cases,
+        "ttl": len({each.ttl for part in parts if part.ic_type == 2 for each in part.records}),
+        "sent": any(part.ic_type == 7 for part in parts),
+    }
+
+
+def _containers(made: Any, octets: bytes) -> list[Any]:
+    """Return the containers of a beacon; none if it cannot be decoded."""
+    from dcp_codec.errors import DecodeError
+
+    try:
+        return [part for payload in made.decode(octets).payloads for part in payload.vardis or ()]
+    except DecodeError:
+        return []
+
+
+#: Cases that forward each kind of record, read what the node made itself, and compare it with the model.
 CASES = (
     "TC_NET_HOP_BV_01-2",
     "TC_NET_JOIN_BV_02",
     "TC_NET_JOIN_BV_03",
     "TC_NET_JOIN_BV_05-update",
     "TC_NET_JOIN_BV_07",
+    "TC_DCP_MODEL_BV_01-own-variable-01",
 )
 
 
@@ -208,13 +307,12 @@ def cases(_folder: Path) -> dict[str, Any]:
     from dcp_conformance.model.case import all_cases
 
     from dcp_codec.codec import Codec
-    from dcp_stack.own_fields import OwnFields
 
     made = Codec("dcp-2.1")
     selection = [all_cases()[name] for name in CASES]
-
+    announce()
     found: dict[str, Any] = {"right": _verdicts(made, selection)}
-    OwnFields.keep = lambda *_: None  # type: ignore[assignment, method-assign]
+    forget()
     return found | {"wrong": _verdicts(made, selection)}
 
 
@@ -240,6 +338,7 @@ def suite(_folder: Path) -> dict[str, Any]:
 
     from dcp_codec.codec import Codec
 
+    announce()
     results = _verdicts(Codec("dcp-2.1"), [each for each in cases() if not each.long])
     return {
         "passed": sum(each.startswith("pass:") for each in results.values()),
@@ -252,7 +351,7 @@ def suite(_folder: Path) -> dict[str, Any]:
 _BAD = ("fail", "inconclusive", "error")
 
 
-PARTS = {each.__name__: each for each in (codec, node, simulator, cases, suite)}
+PARTS = {each.__name__: each for each in (codec, node, simulator, check, fuzz, cases, suite)}
 
 if __name__ == "__main__":
     print(json.dumps(PARTS[sys.argv[1]](Path(sys.argv[2]))))

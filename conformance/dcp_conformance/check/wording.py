@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from dcp_codec.values import VarSpec
+from dcp_codec.values import VarSpec, attributes
 
 #: Rule -> the general consequence of its findings for a network.
 CONSEQUENCES: Final[Mapping[str, str]] = {
@@ -52,7 +52,7 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> str:
     """Return the fields that differ, with the specification's names: ``timeout 0 -> 1, repCnt 2 -> 3``."""
     found = [
         f"{_NAMES.get(field, field)} {shown(getattr(before, field), field)} -> {shown(getattr(after, field), field)}"
-        for field in before.__struct_fields__
+        for field in attributes(before)
         if getattr(before, field) != getattr(after, field)
     ]
     return ", ".join(found) or "no difference"
@@ -60,7 +60,7 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> str:
 
 def spec_text(spec: VarSpec) -> str:
     """Return the fields of a VarSpec except varId, in one line."""
-    fields = (field for field in spec.__struct_fields__ if field != "var_id" and getattr(spec, field) is not None)
+    fields = (field for field in attributes(spec) if field != "var_id" and getattr(spec, field) is not None)
     return ", ".join(f"{_NAMES.get(field, field)} {shown(getattr(spec, field), field)}" for field in fields)
 
 

@@ -53,6 +53,10 @@ class FrameBuilder:
         """Return the number of a container type in this profile."""
         return self._numbers[kind.label]
 
+    def kind(self, number: int) -> ICType | None:
+        """Return the container type with a number in this profile; None for one that the profile adds."""
+        return next((kind for kind in ICType if self.ic_type(kind) == number), None)
+
     def container(
         self,
         *records: VardisRecord,

@@ -4,36 +4,21 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-import msgspec
 from dcp_spec.profile.definition import OwnField
 
 from dcp_codec.codec import Codec
 from dcp_codec.plan.layout import neutral
-from dcp_codec.values import VALUE_CLASSES, AnyRecord, VarCreate
+from dcp_codec.records import RecordFactory
+from dcp_codec.values import VALUE_CLASSES, AnyRecord
 
 
-class Sampler:
-    """Gives the fields that a profile adds to VarSpec and to records values other than zero.
+def sampler(codec: Codec) -> RecordFactory:
+    """Return a factory that gives the fields that a profile adds to records values other than zero.
 
     Equal records get equal values, and records with different sequence numbers usually different ones. So an
     implementation that does not forward a field, or forwards that of another record, is noticed.
     """
-
-    def __init__(self, codec: Codec) -> None:
-        self._types = codec.types
-        self._own = codec.profile.vardis.own_fields()
-
-    def filled(self, record: AnyRecord) -> AnyRecord:
-        """Return ``record`` in the class of the profile; one that already is in that class is returned unchanged."""
-        if not self._own or hasattr(record, "extra"):
-            return record
-        if isinstance(record, VarCreate):
-            record = msgspec.structs.replace(record, spec=self.filled(record.spec), upd=self.filled(record.upd))
-        own = self._own.get(type(record).__name__)
-        if own is None:
-            return record
-        number = getattr(record, "seqno", 0)
-        return self._types.extended(record, tuple([_sample(each, number) for each in own]))
+    return RecordFactory(codec, _sample)
 
 
 def plain(record: AnyRecord) -> AnyRecord:
@@ -42,8 +27,9 @@ def plain(record: AnyRecord) -> AnyRecord:
     return cast(AnyRecord, made(*[getattr(record, name) for name in made.__struct_fields__]))
 
 
-def _sample(member: OwnField, number: int) -> int | float | bytes:
+def _sample(record: Any, member: OwnField) -> int | float | bytes:
     """Return a value that every layout of the field can hold; octets without a known meaning are zeros."""
+    number = getattr(record, "seqno", 0)
     if member.opaque is not None:
         return neutral(member)
     small = 1 + number % 100

@@ -166,11 +166,7 @@ def question(codec: Codec, number: int, network_id: int | None = None) -> bytes:
     ``network_id``: by default that of the profile.
     """
     builder = FrameBuilder(codec)
-    layout = codec.profile.types.node_id
-    if layout.representation == "text":
-        sender = ASKER.hex(":").encode()
-    else:
-        sender = ASKER[-layout.width :].rjust(layout.width, b"\x02")
+    sender = codec.profile.types.node_id.of(ASKER)
     highest = (1 << (8 * codec.profile.types.var_id.width)) - 1
     block = builder.vardis(VarSumm(number % (highest + 1), 1))
     seqno = number + codec.profile.behaviour.first_beacon_seqno

@@ -18,7 +18,6 @@ from typing import Final
 from dcp_spec.constants import Features, ICType
 
 from dcp_codec.values import (
-    Extra,
     VarCreate,
     VarDelete,
     VardisRecord,
@@ -27,6 +26,7 @@ from dcp_codec.values import (
     VarSpec,
     VarSumm,
     VarUpdate,
+    own_values,
 )
 from dcp_conformance.model.circular import Circle
 
@@ -375,12 +375,6 @@ class Model:
 def key_of(kind: ICType, seqno: int) -> Key:
     """Return the key that counts an instruction in :class:`Repetitions`."""
     return kind, seqno if kind is _UPDATES else 0
-
-
-def own_values(update: VarUpdate) -> Extra:
-    """Return the values of the fields that the profile adds to VarUpdate."""
-    found: Extra = getattr(update, "extra", ())
-    return found
 
 
 def _creation(version: Version) -> int:

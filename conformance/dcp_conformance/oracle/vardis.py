@@ -13,10 +13,10 @@ from typing import Any, Final
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate, VardisRecord, VarSpec, VarUpdate
+from dcp_codec.values import VarCreate, VardisRecord, VarSpec, VarUpdate, own_values
 
 from .knowledge import VERSIONS, Complaint, Obligation, State, Variable, Version
-from .model import DELETION, Model, key_of, own_values
+from .model import DELETION, Model, key_of
 from .repetitions import Key
 
 # Module-level names: faster than attributes of the enumeration in comparisons for each record.
@@ -183,9 +183,13 @@ class Oracle(Model):
             expected = f"the value {shown} for number {meant[0].seqno}"
             yield Complaint("VD-PU-07", var_id, expected, update.value.hex(), frame)
         elif not {None, own_values(update)} & {version.own for version in meant}:
-            shown = " or ".join({str(version.own): None for version in meant})
-            expected = f"the added fields {shown} for number {meant[0].seqno}"
-            yield Complaint("VD-PU-07", var_id, expected, str(own_values(update)), frame)
+            names: tuple[str, ...] = getattr(update, "ADDED", ())
+            texts = [
+                " ".join(f"{name} {value}" for name, value in zip(names, own or (), strict=False))
+                for own in (own_values(update), *dict.fromkeys(version.own for version in meant))
+            ]
+            expected = f"the added fields {' or '.join(texts[1:])} for number {meant[0].seqno}"
+            yield Complaint("VD-PU-07", var_id, expected, texts[0], frame)
 
     def _other_creation(self, record: VarCreate, var_id: int, fitting: list[Version], frame: int) -> Complaint | None:
         """Return a complaint if a forwarded VarCreate has a VarSpec that the node never stored (VD-PC-10)."""

@@ -9,23 +9,12 @@ from itertools import groupby
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_VARDIS, QueueingMode, features
+from dcp_spec.constants import BP_PROTID_VARDIS, ICType, QueueingMode, features
 
-from dcp_codec.plan.tree import snake
-from dcp_codec.values import (
-    ExtendedSafetyData,
-    VarCreate,
-    VarDelete,
-    VardisRecord,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSpec,
-    VarSumm,
-    VarUpdate,
-)
+from dcp_codec.values import ExtendedSafetyData, VarCreate, VardisRecord
 from dcp_conformance.errors import NeverAnsweredError, NoAnswerError, UpperTesterError
 from dcp_conformance.frames.builder import Block, FrameBuilder
-from dcp_conformance.frames.sampling import Sampler
+from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.oracle.judgement import Finding, either
 from dcp_conformance.oracle.node import NodeModel
 from dcp_conformance.upper_tester import Answer
@@ -55,6 +44,14 @@ _SIZED: Final = ("payload", "value")
 _FOLLOWED: Final = re.compile(
     r"RTDB-(Read|Describe.*)|BP-(List.*|Query.*|TransmitPayload|ClearBuffer)|SRP-NeighbourTable|.*-GetParameters"
 )
+#: Container types of the other kinds of records than creations.
+_KINDS: Final = {
+    "delete": ICType.DELETE_VARIABLES,
+    "update": ICType.UPDATES,
+    "summary": ICType.SUMMARIES,
+    "ask-update": ICType.REQUEST_VARUPDATES,
+    "ask-create": ICType.REQUEST_VARCREATES,
+}
 #: Sequence numbers, and octets after the last payload, of beacons that are unusual.
 _NUMBERS: Final = {"seqno 0": 0, "seqno largest": -1}
 _PADDING: Final = {"padded": b"\xa5" * 46, "padded far": bytes(200)}
@@ -115,7 +112,7 @@ class Driver:
         self.steps: list[Step] = []
         self.rows: list[Row] = []
         self._builder = FrameBuilder(executor.codec)
-        self._sampler = Sampler(executor.codec)
+        self._made = sampler(executor.codec)
         self._mark = 0
         self._handed = 0
         self._seqnos: Counter[int] = Counter()
@@ -485,55 +482,26 @@ class Driver:
     def _record(self, each: Records, number: int) -> VardisRecord:
         names, profile = self.executor.names, self.executor.codec.profile
         var_id = self._variable(number)
-        fill = self._sampler.filled
         seqno = each.seqno % (1 << 8 * profile.types.var_seqno.width)
-        match each.kind:
-            case "delete":
-                return fill(VarDelete(var_id))
-            case "ask-create":
-                return fill(VarReqCreate(var_id))
-            case "ask-update":
-                return fill(VarReqUpdate(var_id, seqno))
-            case "summary":
-                return fill(VarSumm(var_id, seqno))
-            case "update":
-                return fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again, fill=each.fill)))
-        fields = profile.vardis.var_spec
+        value = self._octets(each.size, again=each.again, fill=each.fill) if each.kind in ("create", "update") else b""
+        if each.kind != "create":
+            return self._made.record(_KINDS[each.kind], var_id, seqno, value)
         producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]
         longest = (1 << 8 * profile.types.var_timeout.width) - 1
         descr = _letters(each.descr).encode()
         if each.fill == "zeros" and features(profile.spec_version).string_format != "nul-terminated" and descr:
             place = len(descr) // 2
             descr = descr[:place] + b"\x00" + descr[place + 1 :]
-        spec = VarSpec(
-            var_id,
-            producer,
-            each.repetitions,
-            descr,
-            names.creation(each.creation) if "creationTime" in fields else None,
-            min(each.timeout, longest) if "timeout" in fields else None,
-        )
-        return fill(
-            VarCreate(
-                fill(spec), fill(VarUpdate(var_id, seqno, self._octets(each.size, again=each.again, fill=each.fill)))
-            )
-        )
+        creation = names.creation(each.creation) if self._made.stamped else 0
+        spec = self._made.spec(var_id, producer, each.repetitions, descr, creation, min(each.timeout, longest))
+        return self._made.create(spec, seqno, value)
 
     def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
-        codec = self.executor.codec
-        kind = codec.safety_data_type
         self._mark += 1
-        values = self._safety_data(self._mark)
-        data = {
-            snake(name) if snake(name) in kind.__struct_fields__ else name: bytes.fromhex(value)
-            if isinstance(value, str)
-            else value
-            for name, value in values.items()
-        }
         names = self.executor.names
         stamp = names.creation(0 if earlier else 1 + self._mark % 7)
         node_id = self.executor.own_id if number == OWN else names.neighbour(number)[0]
-        return ExtendedSafetyData(kind(**data), node_id, stamp, seqno)
+        return self._made.report(node_id, stamp, seqno, self._safety_data(self._mark))
 
     def _event(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of a service; for a payload also how it differs from the one before."""

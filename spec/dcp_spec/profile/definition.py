@@ -267,10 +267,10 @@ class VardisLayout(Part, frozen=True):
     records: Annotated[RecordLayouts, Meta(description="Members of the instruction records.")] = RecordLayouts()
     own_containers: Annotated[tuple[OwnContainer, ...], Meta(description="Container types of your own.")] = ()
 
-    def own_fields(self) -> dict[str, list[OwnField]]:
-        """Return the fields that the profile adds to VarSpec and to records, by the name of the record; none empty."""
-        layouts = {"VarSpec": self.var_spec, **self.records.by_name()}
-        return {name: own for name, members in layouts.items() if (own := own_fields(members))}
+    def container_names(self) -> dict[int, str]:
+        """Return the names of all container types by their numbers."""
+        specified = {number: name for name, number in self.container_types.by_name().items()}
+        return specified | {each.number: each.name for each in self.own_containers}
 
 
 class Limits(Part, frozen=True):
@@ -343,6 +343,12 @@ class Profile(Part, frozen=True, kw_only=True):
     limits: Annotated[Limits, Meta(description="Limits.")] = Limits()
     behaviour: Annotated[Behaviour, Meta(description="Behaviour.")] = Behaviour()
     among: Annotated[Among, Meta(description="Settings of a node among these implementations.")] = Among()
+
+    def own_fields(self) -> dict[str, list[OwnField]]:
+        """Return the fields that the profile adds to state reports, VarSpec and records, by the record; none empty."""
+        report: Members = self.srp.record if self.srp.is_report else ()
+        layouts = {"ExtendedSafetyData": report, "VarSpec": self.vardis.var_spec, **self.vardis.records.by_name()}
+        return {name: own for name, members in layouts.items() if (own := own_fields(members))}
 
     def has_header_field(self, name: str) -> bool:
         """Whether the BP header of this profile has the field ``name`` (for example ``"networkId"``)."""

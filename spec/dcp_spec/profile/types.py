@@ -60,6 +60,12 @@ class NodeIdType(Part, frozen=True):
         IntType | None, Meta(description="The length before an identifier of varying size; not with a beacon header.")
     ] = None
 
+    def of(self, address: bytes) -> bytes:
+        """Return an identifier made of a MAC address: as text, or its last octets, after 0x02 if it is wider."""
+        if self.representation == "text":
+            return address.hex(":").encode()
+        return address[-self.width :].rjust(self.width, b"\2") if self.width else b""
+
 
 class TimestampType(Part, frozen=True):
     """``TimeStampT`` (DATA-05): an integer that counts a unit since an epoch."""

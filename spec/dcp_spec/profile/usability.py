@@ -35,15 +35,15 @@ def refusal(profile: Profile) -> str | None:
 
 
 def _unusable(profile: Profile) -> Iterator[tuple[str, str]]:
-    bp, srp, vardis = profile.bp, profile.srp, profile.vardis
+    bp, vardis = profile.bp, profile.vardis
     meaning = "nothing says what to send there"
     if own := own_fields(bp.header):
         yield "bp.header", f"has {_names(own)}; {meaning}"
     if own := [each for each in own_fields(bp.payload_header) if each.opaque is None]:
         yield "bp.payload_header", f"has {_names(own)}; {meaning}"
-    records = {f"vardis.records.{name}": own for name, own in vardis.own_fields().items() if name != "VarSpec"}
-    for key, members in {"srp.record": own_fields(srp.record) if srp.is_report else [], **records}.items():
-        if own := [each for each in members if each.block is not None]:
+    for name, members in profile.own_fields().items():
+        if name != "VarSpec" and (own := [each for each in members if each.block is not None]):
+            key = "srp.record" if name == "ExtendedSafetyData" else f"vardis.records.{name}"
             yield key, f"has {_names(own)}; a node needs a fixed number of octets"
     if own := [each for each in vardis.container_extra if each.extra is None]:
         yield "vardis.container_extra", f"has {_names(own)}; only integers can be sent, as zeros"

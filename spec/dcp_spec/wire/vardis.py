@@ -122,9 +122,7 @@ def container(profile: Profile) -> Record:
     layout = profile.vardis
     numbers = layout.container_types.by_name()
     layouts = {numbers[name]: record for name, record in instruction_records(profile).items()}
-    for own in layout.own_containers:
-        numbers[own.name] = own.number
-        layouts[own.number] = own_record(profile, own)
+    layouts |= {own.number: own_record(profile, own) for own in layout.own_containers}
     records: Any = Choice(
         "icType",
         {number: ("records", Counted("icNumRecords", record)) for number, record in layouts.items()},
@@ -133,7 +131,7 @@ def container(profile: Profile) -> Record:
     parts = [
         Field(
             "icType",
-            Named(octet, {number: name for name, number in numbers.items()}, label_field="icName"),
+            Named(octet, layout.container_names(), label_field="icName"),
             requirement="VD-IC-01",
             doc="type of the records",
         ),

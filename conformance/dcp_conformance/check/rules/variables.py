@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from typing import Any, NamedTuple
 
-from dcp_codec.values import VarCreate
+from dcp_codec.values import VarCreate, VarUpdate, own_values
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
 from dcp_conformance.check.wording import differences, spec_text
@@ -208,7 +208,7 @@ class OneValue(_OfAllNodes):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
-        self._values: dict[int, OrderedDict[int, tuple[bytes, Statement]]] = {}
+        self._values: dict[int, OrderedDict[int, tuple[VarUpdate, Statement]]] = {}
         self._newest: dict[int, int] = {}
 
     def feed(self, seen: Seen) -> None:
@@ -245,7 +245,10 @@ class OneValue(_OfAllNodes):
         return (newest - number) % self._circle.modulus >= self._circle.modulus // 4
 
     def _compare(self, each: Statement, born: int, seen: Seen) -> None:
-        """Compare the value of a create or update with the known one of its number; ``born`` in ns since 1970."""
+        """Compare the value of a create or update with the known one of its number; ``born`` in ns since 1970.
+
+        Fields that the profile adds to VarUpdate belong to the value.
+        """
         record = each.record.upd if isinstance(each.record, VarCreate) else each.record
         newest = self._newest.get(each.var_id)
         if newest is None or self._far(record.seqno, newest):
@@ -253,17 +256,23 @@ class OneValue(_OfAllNodes):
         known = self._values[each.var_id]
         before = known.get(record.seqno)
         if before is None:
-            known[record.seqno] = (record.value, each)
+            known[record.seqno] = (record, each)
             if len(known) > _VALUES:
                 known.popitem(last=False)
             return
         self._of_all += 1
-        if before[0] != record.value:
+        first, statement = before
+        about = f"variable {each.var_id}, seqno {record.seqno}"
+        if first.value != record.value:
             text = (
-                f"variable {each.var_id}, seqno {record.seqno}: {before[0].hex()} from "
-                f"{name(before[1].sender)}, {record.value.hex()} from {name(seen.sender)}"
+                f"{about}: {first.value.hex()} from {name(statement.sender)}, "
+                f"{record.value.hex()} from {name(seen.sender)}"
             )
-            self.contradict(born, before[1], each, text, (each.var_id, record.seqno))
+        elif own_values(first) != own_values(record):
+            text = f"{about}: {differences(first, record)} at {name(seen.sender)}, after {name(statement.sender)}"
+        else:
+            return
+        self.contradict(born, statement, each, text, (each.var_id, record.seqno))
 
 
 class OneSpec(_OfAllNodes):

@@ -169,10 +169,8 @@ class StackTarget:
 
     def _probe(self, var_id: int) -> bytes:
         profile = self.codec.profile
-        width = profile.types.node_id.width
-        text = profile.types.node_id.representation == "text"
         return self._builder.beacon(
-            _PROBER.hex(":").encode() if text else _PROBER[-width:].rjust(width, b"\2"),
+            profile.types.node_id.of(_PROBER),
             1,
             [self._builder.vardis(VarSumm(var_id, 1))],
             network_id=profile.bp.network_id if profile.has_header_field("networkId") else None,

@@ -11,18 +11,8 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS
 from dcp_codec.codec import Codec
 from dcp_codec.testing.draws import Draws
 from dcp_codec.testing.mutation_values import ValidValues
-from dcp_codec.values import (
-    Beacon,
-    BPHeader,
-    Container,
-    ExtendedSafetyData,
-    Payload,
-    VarCreate,
-    VardisRecord,
-    VarSpec,
-    VarUpdate,
-)
-from dcp_conformance.frames.sampling import Sampler
+from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarCreate, VardisRecord
+from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
 
 #: Base of creation times, in ticks of the profile's clock; far from both ends of the range.
@@ -42,11 +32,9 @@ class Parts:
         profile = codec.profile
         numbers = profile.vardis.container_types.by_name()
         self._ic_types = {kind: numbers[kind.label] for kind in ICType}
-        self._sampler = Sampler(codec)
+        self._made = sampler(codec)
         self._has_header = bool(profile.bp.header)
         self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
-        self._creation = "creationTime" in profile.vardis.var_spec
-        self._timeout = "timeout" in profile.vardis.var_spec
         self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
         self._modulus = seqno_modulus(profile.types.var_seqno.width)
         half = self._modulus // 2
@@ -64,18 +52,12 @@ class Parts:
         """Return the node identifier of a station."""
         found = self._nodes.get(number)
         if found is None:
-            found = self._nodes[number] = self._identifier(number)
+            found = self._nodes[number] = self.codec.profile.types.node_id.of(self._address(number))
         return found
-
-    def _identifier(self, number: int) -> bytes:
-        layout, octets = self.codec.profile.types.node_id, self._address(number)
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
         """Return a beacon of a station; consecutive records of one kind share a container."""
-        ic_types, filled = self._ic_types, self._sampler.filled
+        ic_types, filled = self._ic_types, self._made.filled
         runs = itertools.groupby(records, lambda record: record.IC_TYPE)
         containers = tuple([Container(ic_types[kind], tuple(map(filled, run))) for kind, run in runs])
         return self._beacon(Payload(BP_PROTID_VARDIS, containers), sender, peer)
@@ -109,15 +91,8 @@ class Parts:
     ) -> VarCreate:
         """Return a VarCreate with attributes that are mostly valid."""
         rep_cnt, descr, value = self._attributes()
-        spec = VarSpec(
-            var_id,
-            self.node(peer) if producer is None else producer,
-            rep_cnt,
-            descr,
-            creation if self._creation else None,
-            0 if self._timeout else None,
-        )
-        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+        producer = self.node(peer) if producer is None else producer
+        return self._made.create(self._made.spec(var_id, producer, rep_cnt, descr, creation), seqno, value)
 
     def _attributes(self) -> tuple[int, bytes, bytes]:
         """Return random repetitions, description and value."""
@@ -138,15 +113,8 @@ class Parts:
         """Return a valid VarCreate; ``timeout`` in ms."""
         # Draw as many random numbers as create(), so that seeds keep producing the same sequences.
         self._attributes()
-        spec = VarSpec(
-            var_id,
-            self.node(peer) if producer is None else producer,
-            2,
-            b"good",
-            creation if self._creation else None,
-            timeout if self._timeout else None,
-        )
-        return VarCreate(spec, VarUpdate(var_id, seqno, b"good"))
+        producer = self.node(peer) if producer is None else producer
+        return self._made.create(self._made.spec(var_id, producer, 2, b"good", creation, timeout), seqno, b"good")
 
     def seqno(self, around: int = 0) -> int:
         """Return a sequence number near ``around``, half of the number range away from it, or anywhere."""

@@ -7,23 +7,8 @@ from typing import Final
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 
 from dcp_codec.codec import Codec
-from dcp_codec.plan.tree import snake
-from dcp_codec.values import (
-    Beacon,
-    BPHeader,
-    Container,
-    ExtendedSafetyData,
-    Payload,
-    VarCreate,
-    VarDelete,
-    VardisRecord,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSpec,
-    VarSumm,
-    VarUpdate,
-)
-from dcp_conformance.frames.sampling import Sampler
+from dcp_codec.values import Beacon, BPHeader, Container, Payload, VardisRecord
+from dcp_conformance.frames.sampling import sampler
 
 #: Protocol identifier that no node implements.
 OTHER_PROTOCOL: Final = 0x77
@@ -38,39 +23,23 @@ class Samples:
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
-        self._sampler = Sampler(codec)
+        self._made = sampler(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
 
     def node(self, number: int = 1) -> bytes:
         """Return the node identifier of a station."""
-        layout = self.codec.profile.types.node_id
-        octets = _STATION[:-2] + number.to_bytes(2, "big")
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
+        return self.codec.profile.types.node_id.of(_STATION[:-2] + number.to_bytes(2, "big"))
 
     def record(self, kind: ICType, var_id: int = 0) -> VardisRecord:
         """Return a record of a kind."""
-        match kind:
-            case ICType.SUMMARIES:
-                return VarSumm(var_id, 0)
-            case ICType.UPDATES:
-                return VarUpdate(var_id, 0, TEXT)
-            case ICType.REQUEST_VARUPDATES:
-                return VarReqUpdate(var_id, 0)
-            case ICType.REQUEST_VARCREATES:
-                return VarReqCreate(var_id)
-            case ICType.DELETE_VARIABLES:
-                return VarDelete(var_id)
-        fields = self.codec.profile.vardis.var_spec
-        creation = 1 if "creationTime" in fields else None
-        spec = VarSpec(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
-        return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
+        if kind is ICType.CREATE_VARIABLES:
+            return self._made.create(self._made.spec(var_id, self.node(), 1, TEXT, creation_time=1), 0, TEXT)
+        return self._made.record(kind, var_id, 0, TEXT)
 
     def container(self, kind: ICType, count: int = 1) -> Container:
         """Return a container of ``count`` records of a kind, about different variables as far as possible."""
         top = 1 << (8 * min(2, self.codec.profile.types.var_id.width))
-        records = tuple(self._sampler.filled(self.record(kind, number % top)) for number in range(count))
+        records = tuple(self.record(kind, number % top) for number in range(count))
         return Container(self._numbers[kind.label], records)
 
     def vardis(self, *containers: Container) -> Payload:
@@ -79,13 +48,7 @@ class Samples:
 
     def report(self, number: int = 1, seqno: int = 0) -> Payload:
         """Return an SRP block with the state report of a station. Only for profiles with SRP."""
-        codec = self.codec
-        known = codec.safety_data_type.__struct_fields__
-        data = {}
-        for field in codec.profile.srp.safety_data:
-            name = snake(field.name) if snake(field.name) in known else field.name
-            data[name] = bytes(field.octets) if field.type == "opaque" else 0.0 if field.type.startswith("f") else 0
-        return Payload(BP_PROTID_SRP, ExtendedSafetyData(codec.safety_data_type(**data), self.node(number), 0, seqno))
+        return Payload(BP_PROTID_SRP, self._made.report(self.node(number), 0, seqno))
 
     def other(self, octets: bytes = b"\0") -> Payload:
         """Return a block of an unknown protocol."""

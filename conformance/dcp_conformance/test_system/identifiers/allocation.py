@@ -67,8 +67,7 @@ class Identifiers:
             if layout.representation != "text" and run.next_node >= 1 << (8 * min(layout.width, 3)):
                 self.used_up("a node identifier that this run has not used", 0, run.next_node)
             address = _address(run.next_node)
-            text = layout.representation == "text"
-            node_id = address.hex(":").encode() if text else address[-layout.width :].rjust(layout.width, b"\x02")
+            node_id = layout.of(address)
             if node_id != run.sut_id and address != run.sut_address:
                 return node_id, address
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypedDict, Unpack
+from typing import Protocol, TypedDict, Unpack
 
 from dcp_codec.codec import Codec
-from dcp_codec.plan.tree import snake
 from dcp_codec.values import (
     ExtendedSafetyData,
     VarCreate,
@@ -16,7 +15,7 @@ from dcp_codec.values import (
     VarSumm,
     VarUpdate,
 )
-from dcp_conformance.frames.sampling import Sampler
+from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.steps import Clock
@@ -53,8 +52,7 @@ class Records:
         identifiers: Identifiers,
         verdicts: Verdicts,
     ) -> None:
-        self._codec = codec
-        self._sampler = Sampler(codec)
+        self._made = sampler(codec)
         self._clock = clock
         self._run = run
         self._sut = sut
@@ -116,17 +114,11 @@ class Records:
         ``exact``: use the description as given, otherwise as :meth:`descr` returns it. Stops the case as not applicable
         if the profile cannot express ``timeout`` (in ms).
         """
-        names = self._sut.profile.vardis.var_spec
         self.require_timeout(timeout)
-        spec = VarSpec(
-            var_id,
-            producer,
-            rep_cnt,
-            descr if exact else self.descr(descr),
-            (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
-            timeout if "timeout" in names else None,
-        )
-        return self._sampler.filled(spec)
+        if creation_time is None and self._made.stamped:
+            creation_time = self.creation_time()
+        descr = descr if exact else self.descr(descr)
+        return self._made.spec(var_id, producer, rep_cnt, descr, creation_time or 0, timeout)
 
     def create(self, var_id: int, producer: bytes, **fields: Unpack[CreationFields]) -> VarCreate:
         """Return a VarCreate like :meth:`sample`. From now on the implementation may know the variable."""
@@ -162,39 +154,28 @@ class Records:
             timeout=timeout,
             exact=exact,
         )
-        return self._sampler.filled(VarCreate(spec, self.update(var_id, seqno, value, exact=exact)))
+        return self._made.create(spec, seqno, value if exact else self.value(value))
 
     def update(self, var_id: int, seqno: int, value: bytes = b"newer", *, exact: bool = False) -> VarUpdate:
         """Return a VarUpdate; the value is truncated to the implementation's maximum unless ``exact``."""
-        return self._sampler.filled(VarUpdate(var_id, seqno, value if exact else self.value(value)))
+        return self._made.filled(VarUpdate(var_id, seqno, value if exact else self.value(value)))
 
     def delete(self, var_id: int) -> VarDelete:
         """Return a VarDelete."""
-        return self._sampler.filled(VarDelete(var_id))
+        return self._made.filled(VarDelete(var_id))
 
     def summary(self, var_id: int, seqno: int) -> VarSumm:
         """Return a VarSumm."""
-        return self._sampler.filled(VarSumm(var_id, seqno))
+        return self._made.filled(VarSumm(var_id, seqno))
 
     def request_update(self, var_id: int, seqno: int) -> VarReqUpdate:
         """Return a VarReqUpdate; ``seqno`` is the sequence number that the sender claims to have."""
-        return self._sampler.filled(VarReqUpdate(var_id, seqno))
+        return self._made.filled(VarReqUpdate(var_id, seqno))
 
     def request_create(self, var_id: int) -> VarReqCreate:
         """Return a VarReqCreate."""
-        return self._sampler.filled(VarReqCreate(var_id))
+        return self._made.filled(VarReqCreate(var_id))
 
     def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
         """Return a state report; fields of the safety data that are not given are zero."""
-        kind = self._codec.safety_data_type
-        zeros: dict[str, Any] = {
-            each.name: b"\0" * each.octets if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
-            for each in self._sut.profile.srp.safety_data
-        }
-        data = kind(**{_attribute(kind, name): value for name, value in {**zeros, **fields}.items()})
-        return ExtendedSafetyData(data, node_id, self.creation_time() if t_stamp is None else t_stamp, seqno)
-
-
-def _attribute(kind: type[Any], name: str) -> str:
-    """Return the attribute of a safety data class for a field's name."""
-    return snake(name) if snake(name) in kind.__struct_fields__ else name
+        return self._made.report(node_id, self.creation_time() if t_stamp is None else t_stamp, seqno, fields)

@@ -147,8 +147,8 @@ def order_of_containers(bench: Bench) -> None:
         bench.learn(peer, again := peer.create(bench.var_id()))
         deleted = again.spec.var_id
     for heard in bench.heard:
-        numbers = [each.ic_type for each in heard.containers]
-        places = [order.index(_kind(bench, each)) for each in numbers]
+        kinds = [bench.builder.kind(each.ic_type) for each in heard.containers]
+        places = [order.index(kind) for kind in kinds if kind is not None]
         bench.answered(
             places,
             sorted(places),
@@ -162,11 +162,8 @@ def order_of_containers(bench: Bench) -> None:
         bench.inconclusive("a payload with all six kinds of containers", f"none in {_ATTEMPTS} attempts", "VD-PAY-02")
     bench.passed("one payload with all six kinds of containers", "VD-PAY-02 VD-IC-02", frames=[full])
     if bench.verdicts.checks and all(each.verdict == "pass" for each in bench.verdicts.checks):
-        bench.reading("X18", ", ".join(_kind(bench, each.ic_type).label for each in full.containers))
-
-
-def _kind(bench: Bench, number: int) -> ICType:
-    return next(kind for kind in ICType if bench.builder.ic_type(kind) == number)
+        kinds = [bench.builder.kind(each.ic_type) for each in full.containers]
+        bench.reading("X18", ", ".join(kind.label for kind in kinds if kind is not None))
 
 
 @case(

@@ -16,7 +16,7 @@ _Bad = Callable[[Bench, Peer, int], bytes]
 
 
 def _unknown_type(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    taken = {bench.builder.ic_type(kind) for kind in ICType}
+    taken = bench.profile.vardis.container_names()
     free = next(each for each in range(255, -1, -1) if each not in taken)
     return bench.builder.container(peer.summary(var_id, 1), lies={"icType": free})
 

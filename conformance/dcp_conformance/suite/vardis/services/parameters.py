@@ -113,10 +113,11 @@ def _ic_header(bench: Bench) -> int:
 
 def _bare_create(bench: Bench) -> int:
     """Return the size in octets of a container with a VarCreate without description and value, up to their length
-    fields.
+    fields, and without the octets of added blocks, of which samples have one each.
     """
     bare = len(bench.builder.container(bench.records.sample(descr=b"", value=b"")))
-    return bare - (1 if bench.profile.types.string.terminated else 0)
+    blocks = sum(each.block is not None for each in bench.profile.own_fields().get("VarSpec", ()))
+    return bare - (1 if bench.profile.types.string.terminated else 0) - blocks
 
 
 def _largest_length(bench: Bench) -> int:

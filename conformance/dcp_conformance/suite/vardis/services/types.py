@@ -99,7 +99,7 @@ def layout(bench: Bench) -> None:
     empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
     bench.none(empty, "a record in every container", "VD-IC-03")
     types = {each.ic_type for heard in frames for each in heard.containers}
-    bench.none(types - {bench.builder.ic_type(kind) for kind in ICType}, "one of the six types as icType", "VD-IC-02")
+    bench.none(types - bench.profile.vardis.container_names().keys(), "one of the six types as icType", "VD-IC-02")
 
 
 @case(
