@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_conformance.check.reception.links import hits_alone, infer, lower_bound, reacts
+from dcp_conformance.check.reception.links import Model, reacts
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import all_tests
 from dcp_conformance.interop.implementations import built_in
@@ -24,28 +24,26 @@ def outcomes(exposure, share: dict[int, float], trials: int, seed: int = 1) -> d
 @pytest.mark.parametrize("beacons", [1, 2, 4])
 def test_the_share_is_per_beacon_however_often_a_cause_is_repeated(share: float, beacons: int) -> None:
     seen = outcomes(((A, beacons),), {A: share}, 4000)
-    found, trials, due = infer(seen)[A]
-    assert found == pytest.approx(share, abs=0.08)
-    assert trials == 4000
-    assert due == pytest.approx(seen[((A, beacons),)][1])
-    bound = lower_bound(A, seen, {A: found}, 3.0)
-    assert bound < share
+    model = Model(seen)
+    assert model.shares[A] == pytest.approx(share, abs=0.08)
+    assert model.trials[A] == 4000
+    assert model.due[A] == pytest.approx(seen[((A, beacons),)][1])
+    assert model.lower_bound(A, 3.0) < share
 
 
 def test_reactions_to_repeated_causes_do_not_show_how_well_a_link_works() -> None:
     """With five beacons in each trial, half of them lost, nearly every trial is met."""
-    seen = {((A, 5),): (0, 57)}
-    assert lower_bound(A, seen, {A: 1.0}, 1.0) < 0.65
-    assert lower_bound(A, {((A, 1),): (0, 57)}, {A: 1.0}, 1.0) > 0.98
+    assert Model({((A, 5),): (0, 57)}).lower_bound(A, 1.0) < 0.65
+    assert Model({((A, 1),): (0, 57)}).lower_bound(A, 1.0) > 0.98
 
 
 def test_beacons_of_other_nodes_explain_only_some_reactions() -> None:
     seen = {((A, 1),): (10, 90), ((A, 3), (B, 1)): (0, 50), ((B, 1),): (40, 0)}
-    found = infer(seen)
-    assert found[A][0] == pytest.approx(0.9, abs=0.02)
-    assert found[B][0] < 0.02
-    assert hits_alone(A, seen) == 90
-    assert hits_alone(B, seen) == 0
+    model = Model(seen)
+    assert model.shares[A] == pytest.approx(0.9, abs=0.02)
+    assert model.shares[B] < 0.02
+    assert model.alone[A] == 90
+    assert model.alone[B] == 0
 
 
 #: Stations that send rarely, or with long gaps, beside ones that send often between two of their beacons.

@@ -43,13 +43,18 @@ class Demands:
                 may = known & ~variable.introducers if variable.introducers else 0
             if may and kind is not CREATE:
                 newer = self._newer
+                behind = ahead = 0
                 for has, whom in holders.items():
                     if has == number or not whom & may:
                         continue
                     if newer(number, has):
-                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, whom & may
+                        behind |= whom & may
                     elif newer(has, number):
-                        yield Kind.TEACH, whom & may
+                        ahead |= whom & may
+                if behind:
+                    yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, behind
+                if ahead:
+                    yield Kind.TEACH, ahead
         elif kind is ASK_CREATE:
             if known:
                 yield Kind.ANSWER_CREATE, known
@@ -60,9 +65,10 @@ class Demands:
             if variable.producers and may:
                 yield Kind.TAKE_DELETE, may
         else:
-            for has, whom in variable.holders.items():
-                if whom & others and has != record.seqno and self._newer(has, record.seqno):
-                    yield Kind.ANSWER_UPDATE, whom & others
+            newer = self._newer
+            ahead = sum(whom & others for has, whom in variable.holders.items() if newer(has, record.seqno))
+            if ahead:
+                yield Kind.ANSWER_UPDATE, ahead
         unknown = others & ~variable.known & ~variable.produced
         if unknown and kind is not DELETE:
             yield from self._of_unknown(variable, kind, record, unknown)

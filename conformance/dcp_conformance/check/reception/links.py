@@ -19,6 +19,8 @@ from .following import Exposure
 
 #: Iterations of expectation maximisation, and the smallest probability that is computed with.
 _ROUNDS, _FLOOR = 25, 1e-9
+#: A probability that makes no difference beside 1.
+_NOTHING = 1e-17
 #: Standard deviations between an estimate and its lower bound: a one-sided confidence level of 95 %.
 CAUTION = 1.64
 #: A link has ended if after its last reactions there were this many trials in windows with a share below ``_GONE``.
@@ -60,34 +62,6 @@ def bits(mask: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:
-    """Return for each speaker (a bit): the probability of being heard, its trials, and the reactions that it caused."""
-    trials: dict[int, int] = {}
-    beacons: dict[int, int] = {}
-    for exposure, (missed, hit) in outcomes.items():
-        for bit, count in exposure:
-            trials[bit] = trials.get(bit, 0) + missed + hit
-            beacons[bit] = beacons.get(bit, 0) + (missed + hit) * count
-    shares = dict.fromkeys(trials, 0.5)
-    received: dict[int, float] = {}
-    hits = [(exposure, hit) for exposure, (_, hit) in outcomes.items() if hit]
-    for _ in range(_ROUNDS):
-        received = dict.fromkeys(trials, 0.0)
-        for exposure, hit in hits:
-            reaction = max(reacts(exposure, shares), _FLOOR)
-            for bit, count in exposure:
-                received[bit] += hit * count * shares[bit] / reaction
-        shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
-    due = dict.fromkeys(trials, 0.0)
-    for exposure, hit in hits:
-        # The parts of all speakers in one reaction add up to 1.
-        parts = [count * shares[bit] for bit, count in exposure]
-        whole = max(sum(parts), _FLOOR)
-        for (bit, _), part in zip(exposure, parts, strict=True):
-            due[bit] += hit * part / whole
-    return {bit: (shares[bit], count, due[bit]) for bit, count in trials.items()}
-
-
 def reacts(exposure: Exposure, shares: Mapping[int, float]) -> float:
     """Return the probability of a reaction to these beacons; ``shares`` has those of single beacons."""
     silent = 1.0
@@ -101,48 +75,112 @@ def without(exposure: Exposure, bit: int) -> Exposure:
     return tuple(each for each in exposure if each[0] != bit)
 
 
-def hits_alone(bit: int, outcomes: Outcomes) -> int:
-    """Return the number of reactions to this speaker alone."""
-    return sum(hit for exposure, (_, hit) in outcomes.items() if len(exposure) == 1 and exposure[0][0] == bit)
+class Model:
+    """The probabilities that explain the outcomes of all trials of one node best."""
 
+    def __init__(self, outcomes: Outcomes) -> None:
+        """Infer the shares."""
+        self._outcomes = [(exposure, missed, hit) for exposure, (missed, hit) in outcomes.items()]
+        self.trials: dict[int, int] = {}
+        """Speaker (a bit) -> number of trials with it."""
+        self.alone: dict[int, int] = {}
+        """Speaker -> number of reactions to it alone; none: 0."""
+        self._of: dict[int, list[tuple[int, int]]] = {}
+        """Speaker -> places in ``_outcomes`` of the trials with it, each with the number of its beacons."""
+        for place, (exposure, missed, hit) in enumerate(self._outcomes):
+            for bit, count in exposure:
+                self.trials[bit] = self.trials.get(bit, 0) + missed + hit
+                self._of.setdefault(bit, []).append((place, count))
+            if len(exposure) == 1:
+                self.alone[exposure[0][0]] = self.alone.get(exposure[0][0], 0) + hit
+        self.shares = dict.fromkeys(self.trials, 0.5)
+        """Speaker -> probability that one of its beacons is heard."""
+        self.due = dict.fromkeys(self.trials, 0.0)
+        """Speaker -> number of reactions that it caused."""
+        self._pairs = {
+            each: place for place, each in enumerate({each: None for exposure in outcomes for each in exposure})
+        }
+        """(Speaker, number of its beacons) -> place in ``_silent``."""
+        self._silent: list[float] = []
+        """For each pair, the probability that the node hears none of these beacons."""
+        self._whole: list[float] = []
+        """For each outcome, the probability that the node hears none of the beacons."""
+        self._infer()
 
-def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
-    """Return a lower bound of the share of a speaker; 0 if other speakers explain all reactions equally well.
+    def _infer(self) -> None:
+        """Find the shares by expectation maximisation."""
+        # In each round, the loops over all trials are left to built-in functions.
+        hits: dict[tuple[int, int], list[int]] = {}
+        for place, (exposure, _, hit) in enumerate(self._outcomes):
+            for each in exposure if hit else ():
+                hits.setdefault(each, []).append(place)
+        pairs = [[self._pairs[each] for each in exposure] for exposure, _, _ in self._outcomes]
+        counts = [hit for _, _, hit in self._outcomes]
+        beacons = {
+            bit: sum(count * (self._outcomes[place][1] + self._outcomes[place][2]) for place, count in of)
+            for bit, of in self._of.items()
+        }
+        for rounds in range(_ROUNDS, -1, -1):
+            self._silent = [(1.0 - self.shares[bit]) ** count for bit, count in self._pairs]
+            self._whole = [math.prod(map(self._silent.__getitem__, of)) for of in pairs]
+            if not rounds:
+                break
+            weights = [hit / max(1.0 - silent, _FLOOR) for hit, silent in zip(counts, self._whole, strict=True)]
+            received = dict.fromkeys(self.shares, 0.0)
+            for (bit, count), places in hits.items():
+                received[bit] += count * self.shares[bit] * sum(map(weights.__getitem__, places))
+            self.shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+        for exposure, _, hit in self._outcomes:
+            # The parts of all speakers in one reaction add up to 1.
+            parts = [count * self.shares[bit] for bit, count in exposure]
+            whole = max(sum(parts), _FLOOR)
+            for (bit, _), part in zip(exposure, parts, strict=True):
+                self.due[bit] += hit * part / whole
 
-    It is the end of a likelihood-ratio interval: the lowest share whose log-likelihood, with the inferred shares of
-    the others, is at most ``caution``^2 / 2 below the maximum. ``caution``: in standard deviations of a normal
-    distribution, 1.64 for a confidence of 95 %.
-    """
-    terms = [
-        (1.0 - reacts(without(exposure, bit), shares), count, missed, hit)
-        for exposure, (missed, hit) in outcomes.items()
-        for speaker, count in exposure
-        if speaker == bit
-    ]
+    def lower_bound(self, bit: int, caution: float = CAUTION) -> float:
+        """Return a lower bound of the share of a speaker; 0 if other speakers explain all reactions equally well.
 
-    def log_likelihood(share: float) -> float:
-        """Return the log-likelihood of the outcomes if this is the share of the speaker."""
-        total = 0.0
-        for silent, count, missed, hit in terms:
-            rest = (1.0 - share) ** count * silent
-            if missed:
-                total += missed * math.log(max(rest, _FLOOR))
-            if hit:
-                total += hit * math.log(max(1.0 - rest, _FLOOR))
-        return total
+        It is the end of a likelihood-ratio interval: the lowest share whose log-likelihood, with the inferred shares of
+        the others, is at most ``caution``^2 / 2 below the maximum. ``caution``: in standard deviations of a normal
+        distribution, 1.64 for a confidence of 95 %.
+        """
+        terms = []
+        for place, count in self._of.get(bit, ()):
+            exposure, missed, hit = self._outcomes[place]
+            own = self._silent[self._pairs[bit, count]]
+            # Without the factor of the speaker, which may be 0.
+            silent = (
+                self._whole[place] / own
+                if own > _FLOOR
+                else math.prod([self._silent[self._pairs[each]] for each in exposure if each[0] != bit])
+            )
+            # A reaction that the others explain with certainty tells nothing.
+            if missed or silent > _NOTHING:
+                terms.append((silent, count, missed, hit))
 
-    best = min(max(shares.get(bit, 0.0), _FLOOR), 1 - 1e-6)
-    needed = log_likelihood(best) - caution * caution / 2
-    low, high = 0.0, best
-    if log_likelihood(_FLOOR) >= needed:
-        return 0.0
-    for _ in range(12):
-        middle = (low + high) / 2
-        if log_likelihood(middle) >= needed:
-            high = middle
-        else:
-            low = middle
-    return low
+        def log_likelihood(share: float) -> float:
+            """Return the log-likelihood of the outcomes if this is the share of the speaker."""
+            total = 0.0
+            for silent, count, missed, hit in terms:
+                rest = (1.0 - share) ** count * silent
+                if missed:
+                    total += missed * math.log(max(rest, _FLOOR))
+                if hit:
+                    total += hit * math.log(max(1.0 - rest, _FLOOR))
+            return total
+
+        best = min(max(self.shares.get(bit, 0.0), _FLOOR), 1 - 1e-6)
+        needed = log_likelihood(best) - caution * caution / 2
+        low, high = 0.0, best
+        if log_likelihood(_FLOOR) >= needed:
+            return 0.0
+        for _ in range(12):
+            middle = (low + high) / 2
+            if log_likelihood(middle) >= needed:
+                high = middle
+            else:
+                low = middle
+        return low
 
 
 def chance(trials: int, expected: float, hits: int) -> float:

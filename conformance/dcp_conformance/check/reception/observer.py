@@ -93,6 +93,8 @@ class Observer:
         """Variables of which not all nodes have stated the same number."""
         self._carried: dict[tuple[int, int, Kind], tuple[int, Sequence[Interval]]] = {}
         """(bit, variable, kind) -> the node's beacon with the last reaction, and its causes right before it."""
+        self._proofs: set[frozenset[int]] = set()
+        """Frames that reactions in this beacon have proved: further reactions to them prove nothing more."""
         self._demands = Demands(context, self.circle, self._nodes, self.by_bit)
         self._first: int | None = None
         self.time = 0
@@ -115,6 +117,7 @@ class Observer:
         if station is None:
             return
         self._catch_up(station)
+        self._proofs.clear()
         station.beacons += 1
         station.times.append(self.time)
         length = len(seen.heard.octets)
@@ -395,16 +398,15 @@ class Observer:
         self, station: Station, variable: Variable, reaction: Statement, causes: Sequence[Interval], since: int
     ) -> None:
         """Mark the open occasions of a node whose records were in all frames that can have caused its reaction."""
-        if variable.produced & station.bit:
+        if variable.produced & station.bit or any(each.cut for each in causes):
             return
+        frames = frozenset(chain.from_iterable([each.frames for each in causes]))
+        if frames in self._proofs or min(frames) < 0:
+            return
+        self._proofs.add(frames)
         provable = [
             intervals for opened in station.open.values() for kind, intervals in opened.items() if kind in _PROVABLE
         ]
-        if not provable or any(each.cut for each in causes):
-            return
-        frames = {frame for each in causes for frame in each.frames}
-        if min(frames) < 0:
-            return
         for intervals in provable:
             if frames.issubset(chain.from_iterable(each.frames for each in intervals)):
                 # The node may have received only the last one of them.

@@ -11,7 +11,7 @@ from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
 from .following import DELAYS, MOSTLY, Exposure, Kind, Proof, Station, Trial
-from .links import Link, bits, hits_alone, infer, lower_bound, reacts, without
+from .links import Link, Model, bits, reacts, without
 from .observer import Observer
 from .tallies import UP, Gap, Tally
 from .unrecorded import Timeline, silent_senders
@@ -211,29 +211,23 @@ class Reception:
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
         """Infer the links to a node in this window."""
-        outcomes = _outcomes(trials)
-        inferred = infer(outcomes)
-        shares = {bit: share for bit, (share, _, _) in inferred.items()}
-        for bit, (share, count, due) in inferred.items():
+        model = Model(_outcomes(trials))
+        for bit, share in model.shares.items():
             if len(self.links) < _LINKS:
-                speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                alone = hits_alone(bit, outcomes)
+                speaker, bound = self.observer.by_bit[bit].node, model.lower_bound(bit)
+                count, due, alone = model.trials[bit], model.due[bit], model.alone.get(bit, 0)
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _known(self, others: list[Trial]) -> _Known:
         """Infer the speakers that a node hears in a window from the trials of its groups without suspicion."""
-        outcomes = _outcomes(others)
-        shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
+        model = Model(_outcomes(others))
+        shares = model.shares
         steady = {
-            bit
-            for bit, share in shares.items()
-            if share >= _STEADY and lower_bound(bit, outcomes, shares, _LIKELY) >= _AS_GOOD
+            bit for bit, share in shares.items() if share >= _STEADY and model.lower_bound(bit, _LIKELY) >= _AS_GOOD
         }
-        bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
         # A reaction that seems to be caused by one speaker may be caused by another one with an uncertain share.
-        bounds = {
-            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and hits_alone(bit, outcomes) >= _ALONE
-        }
+        bounds = {bit: model.lower_bound(bit, _CAUTIOUS) for bit in shares if model.alone.get(bit, 0) >= _ALONE}
+        bounds = {bit: bound for bit, bound in bounds.items() if bound >= _HEARS}
         # Beacons that the node has certainly received: it took another record that only this beacon carried.
         heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
         return _Known(steady, bounds, self._sure(others, shares), heard)
