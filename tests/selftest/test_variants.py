@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import replace
 
+import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
+from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.surroundings import Setup
+from dcp_conformance.reference.surroundings import Tested as Sut
+from dcp_conformance.test_system.bench import Session
 from dcp_selftest import variants
 from dcp_selftest.mutants.mutant import all_mutants
 from dcp_selftest.variants import ALL_VARIANTS, Variant, all_variants
@@ -38,6 +44,14 @@ SAMPLE = (
 PROFILE = "dcp-2.0"
 
 
+def cases_about(method: str) -> list[Case]:
+    """The first variant of each case that needs a service, in the order of execution."""
+    found = {
+        each.base: each for each in reversed(known_cases().values()) if any(method in one for one in each.needs.ut)
+    }
+    return ordered(found.values())
+
+
 def some_cases(*ids: str):
     """The sanity case and some others, a tenth of the suite without ``ids``."""
     known = known_cases()
@@ -52,6 +66,43 @@ def test_the_suite_is_fair_to_a_variant_of_each_module(name: str):
     found = judge(all_variants()[name], PROFILE, some_cases())
     assert (found.fails, found.inconclusive, found.errors) == ((), (), ())
     assert found.passed > 40
+
+
+def with_period(variant: Variant, period_ms: int) -> Variant:
+    """Return the variant with another beacon period, stated in the PIXIT."""
+
+    def build(profile: str) -> Setup:
+        found = variant.build(profile)
+        config, pixit = found.config, found.pics.pixit
+        bp = msgspec.structs.replace(config.bp, beacon_period_ms=period_ms)
+        pixit = msgspec.structs.replace(pixit, beacon_period_ms=period_ms)
+        return replace(
+            found,
+            config=msgspec.structs.replace(config, bp=bp),
+            pics=msgspec.structs.replace(found.pics, pixit=pixit),
+        )
+
+    return replace(variant, build=build)
+
+
+def test_frames_that_are_processed_periods_later_fail_no_case_about_deactivation():
+    late = with_period(all_variants()["V-TIME-frames-150"], 30)
+    found = judge(late, PROFILE, [known_cases()[SANITY], *cases_about("-MGMT-Deactivate")])
+    assert (found.fails, found.inconclusive, found.errors) == ((), (), ())
+    assert found.passed > 20
+
+
+def test_reports_of_an_application_may_equal_data_of_an_earlier_case():
+    """The application submits zeros, as cases about boundary values do."""
+    found = all_variants()["V-APP-reports-10Hz"].build(PROFILE)
+    sut = Sut(found)
+    session = Session(found.config.codec, sut.lower_tester(), sut.connection(found.upper), found.pics)
+    runner = Runner(session, sut)
+    runner.prepare()
+    session.foreign_reports.submitted({each.name: 0 for each in found.config.safety_fields.numbers()}, sut.now)
+    result = runner.run(known_cases()["TC_SRP_REC_TI_01"])
+    assert result.verdict is Verdict.INCONCLUSIVE
+    assert result.reason.endswith("an application on the node replaces the data by its own")
 
 
 def test_the_sample_has_a_variant_of_each_module():

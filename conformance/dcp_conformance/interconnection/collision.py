@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
@@ -14,6 +15,8 @@ from dcp_conformance.test_system.bench import Bench
 _QUESTIONS, _PERIODS = 8, 2.0
 #: Number of beacons of each node that show two sequences of numbers.
 _BEACONS: Final = 3
+#: Number of changes from one sequence to the other that no reset explains.
+_CHANGES: Final = 4
 #: Maximum difference of successive received numbers of one node: it may have sent beacons that were lost.
 _STEP: Final = 4
 #: Sequence numbers that the message lists.
@@ -47,19 +50,26 @@ def _numbers(bench: Bench) -> list[int]:
 
 
 def interleaved(numbers: Sequence[int], modulus: int) -> bool:
-    """Return whether the numbers are two increasing sequences, of which neither ends before the other begins."""
-    sequences: list[list[int]] = []
-    """For each sequence the places of its numbers."""
-    for place, number in enumerate(numbers):
-        steps = [((number - numbers[each[-1]]) % modulus, each[-1], each) for each in sequences]
+    """Return whether the numbers are two increasing sequences that take turns.
+
+    After a reset, the numbers of one node may reach and continue those before the reset: that is one change to the
+    second sequence and at most one back.
+    """
+    last: list[int] = []
+    """The last number of each sequence."""
+    owners: list[int] = []
+    """For each number its sequence."""
+    for number in numbers:
+        steps = [((number - each) % modulus, owner) for owner, each in enumerate(last)]
         following = min((step for step in steps if 1 <= step[0] <= _STEP), default=None)
         if following is not None:
-            following[2].append(place)
-        elif len(sequences) < 2:
-            sequences.append([place])
+            owners.append(following[1])
+            last[following[1]] = number
+        elif len(last) < 2:
+            owners.append(len(last))
+            last.append(number)
         else:
             return False
-    if len(sequences) < 2 or min(map(len, sequences)) < _BEACONS:
-        return False
-    first, second = sequences
-    return first[-1] > second[1]
+    counts = Counter(owners)
+    changes = sum(before != after for before, after in pairwise(owners))
+    return len(counts) == 2 and min(counts.values()) >= _BEACONS and changes >= _CHANGES

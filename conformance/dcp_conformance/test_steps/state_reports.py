@@ -16,6 +16,7 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS
 from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.foreign_reports import unordered
 
 from .services import Moment, reported_safety_data, safety_data, timed, until_report
 
@@ -84,6 +85,11 @@ class Reporter:
         values = reported_safety_data(self.bench, heard.report)
         return values in self._handed or values == safety_data(self.bench, _DIFFERENT)
 
+    def _has_values(self, report: ExtendedSafetyData) -> bool:
+        """Return whether the data of a report are data that this case has submitted, in any order of the fields."""
+        submitted = (*self._handed, safety_data(self.bench, _DIFFERENT))
+        return unordered(report.s_data.as_dict().values()) in [unordered(each.values()) for each in submitted]
+
     def application(self) -> bool:
         """Return whether an application submits safety data.
 
@@ -106,10 +112,11 @@ class Reporter:
         return self._application
 
     def foreign(self, heard: ReceivedBeacon) -> bool:
-        """Return whether a beacon has a report of an application, which may have replaced the tester's."""
-        if heard.report is None or self.bench.session.foreign_reports.is_own(heard.report):
-            return False
-        return self.application()
+        """Return whether a beacon has a report of an application, which may have replaced the tester's.
+
+        Its data may equal what the tester has submitted in an earlier case.
+        """
+        return heard.report is not None and not self._has_values(heard.report) and self.application()
 
     def sent(self, *requirements: str, what: str = "a beacon with the safety data") -> Sent:
         """Submit safety data and wait for the first beacon with them; fails and stops the case if there is none.
@@ -151,9 +158,8 @@ class Reporter:
         """Fail and stop the case because a report is missing; inconclusive if an application has replaced it."""
         if any(self.foreign(each) for each in self.bench.heard[self._begun :]):
             self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
-        known = self.bench.session.foreign_reports
         since = self.bench.heard[self._begun :]
-        mixed = [each for each in since if each.report and known.is_own(each.report) and not self.is_own(each)]
+        mixed = [each for each in since if each.report and self._has_values(each.report) and not self.is_own(each)]
         if mixed:
             self.bench.wrong(what, "values of submitted data in other fields", *requirements, frames=mixed[:4])
         self.bench.missing(what, "none in time", *requirements)

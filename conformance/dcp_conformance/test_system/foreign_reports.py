@@ -16,7 +16,7 @@ _REMEMBERED: Final = 256
 _Data = frozenset[tuple[Any, int]]
 
 
-def _data(values: Iterable[Any]) -> _Data:
+def unordered(values: Iterable[Any]) -> _Data:
     """Return values with their numbers, without their order: a faulty implementation may exchange fields."""
     return frozenset(Counter(each.hex() if isinstance(each, bytes) else each for each in values).items())
 
@@ -36,7 +36,7 @@ class ForeignReports:
 
     def is_own(self, report: ExtendedSafetyData) -> bool:
         """Return whether the data of a report are data that the tester has submitted, in any order of the fields."""
-        return _data(report.s_data.as_dict().values()) in self._own
+        return unordered(report.s_data.as_dict().values()) in self._own
 
     def heard(self, report: ExtendedSafetyData | None, now: int) -> None:
         """Take the report of a beacon into account."""
@@ -50,7 +50,7 @@ class ForeignReports:
     def submitted(self, values: object, now: int) -> None:
         """Take a submission of the tester into account: later reports may follow from it."""
         if isinstance(values, Mapping):
-            self._own.append(_data(values.values()))
+            self._own.append(unordered(values.values()))
         if self._since is not None:
             self.listened = max(self.listened, now - self._since)
             self._since = None
@@ -58,4 +58,7 @@ class ForeignReports:
     def forget(self, now: int) -> None:
         """Record that the implementation is in its initial state: what it sends now does not follow from before."""
         self._numbers.clear()
+        # A faulty implementation may still send the last submission. Older ones may equal the data of an application.
+        while len(self._own) > 1:
+            self._own.popleft()
         self._since = now

@@ -136,7 +136,9 @@ class Session:
         self.foreign_reports.heard(heard.report, arrival.time)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
         gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
-        self.identifier_pool.heard(heard.known - gone, gone, departure)
+        creations = heard.instructions(ICType.CREATE_VARIABLES)
+        produced = {each.var_id for each in creations if each.record.spec.prod_id == self.sut_id}
+        self.identifier_pool.heard(heard.known - gone, gone, departure, produced)
 
     def called(self, method: str, params: Mapping[str, Any], case: str) -> None:
         """Take a call of a service into account that a case is about to make."""

@@ -89,13 +89,16 @@ def test_a_variable_that_returns_after_each_reset_by_itself_is_an_applications()
     pool = IdentifierPool(0, 15, leave=False, timed=True)
     assert pool.unknown(2, 0) == [15, 14]
 
-    def reset_and_hear(beacon: int, var_id: int) -> bool:
+    def reset_and_hear(beacon: int, var_id: int, *, own: bool = True) -> bool:
         pool.forget()
         for number in range(1, 10):
-            pool.heard({var_id} if number == beacon else (), (), 0)
+            heard = {var_id} if number == beacon else frozenset()
+            pool.heard(heard, (), 0, heard if own else ())
         return var_id in pool.foreign
 
     assert not any(reset_and_hear(1, 15) for _ in range(5))
+    # A neighbour's variable may return in a frame that a case has kept.
+    assert not any(reset_and_hear(5, 15, own=False) for _ in range(5))
     assert [reset_and_hear(5, 14), reset_and_hear(5, 14)] == [False, True]
     pool.forget()
     pool.offered(15, 1)

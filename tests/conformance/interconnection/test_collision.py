@@ -28,12 +28,23 @@ def test_two_nodes(numbers):
     [
         [5, 6, 7, 9, 10, 14],
         [70, 71, 72, 0, 1, 2, 3],
+        [1, 2, 3, 0, 1, 2, 3, 4],
+        [1, 2, 3, 0, 1, 2, 4, 5, 6],
         [7, 7, 7, 7, 7, 7],
         [9, 8, 7, 6, 5, 4],
         [17, 4, 99, 3, 58, 21, 33],
         [5, 80, 6, 81],
     ],
-    ids=["with losses", "restarted", "constant", "descending", "random", "too few"],
+    ids=[
+        "with losses",
+        "restarted",
+        "old numbers reached",
+        "and passed",
+        "constant",
+        "descending",
+        "random",
+        "too few",
+    ],
 )
 def test_one_node(numbers):
     assert not interleaved(numbers, MODULUS)

@@ -39,6 +39,8 @@ _DOUBTFUL: Final = 6
 #: Maximum number of cases that are tried alone to find the one that ended the implementation, and maximum number of
 #: waves in which a case is in execution when the implementation ends, before it is executed alone.
 _TRIED, _MET = 16, 3
+#: Number of passes after which twice as many cases are executed at a time, up to the usual number.
+_CALM: Final = 24
 #: Time in ns before the last frame of the implementation in which it may have received a lethal frame.
 _BEFORE: Final = 20_000_000
 
@@ -119,6 +121,10 @@ class SideBySide:
         self._sanity = sanity
         self._session = runner.session
         self.width = width
+        """Maximum number of concurrent cases: less after deaths whose cause was not found, until many have passed."""
+        self._usual = width
+        self._calm = 0
+        """Number of passes since the last change of the width."""
         self._waiting: deque[Case] = deque()
         """Waiting cases that need VarDis, and so identifiers of variables."""
         self._light: deque[Case] = deque()
@@ -183,11 +189,12 @@ class SideBySide:
         if not again or self._runner.dead:
             return
         self.left = [case for case in self.left if case not in again]
-        usual, self.width = self.width, min(self.width, _FEW)
+        before = self.width, self._usual
+        self.width = self._usual = min(self.width, _FEW)
         try:
             self.run(again, on_result)
         finally:
-            self.width = usual
+            self.width, self._usual = before
             self._crowded.clear()
 
     def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
@@ -284,7 +291,7 @@ class SideBySide:
                 self._try(case, on_result)
         else:
             self._withhold()
-            self.width = max(_FEW, self.width // 2)
+            self.width, self._calm = max(_FEW, self.width // 2), 0
         self._requeue([bench.case for bench in cut_off if bench.case.id not in tried])
         self._resume()
 
@@ -418,6 +425,9 @@ class SideBySide:
             and not trial.bench.restoration.restore_failure
         ):
             self._doubts = 0
+            self._calm += 1
+            if self._calm >= _CALM:
+                self.width, self._calm = min(2 * self.width, self._usual), 0
             self.reasons.pop(case.id, None)
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))

@@ -47,7 +47,7 @@ def _hears(bench: Bench, node_id: bytes | None) -> None:
 def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
     """Return the entries of peers after all of them exist; inconclusive if one is not created."""
     found: dict[bytes, dict[str, Any]] = {}
-    for _ in range(20):
+    for _ in range(max(20, round(5 * bench.sut.reaction))):
         found = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
         if all(peer.node_id in found for peer in peers):
             break

@@ -72,8 +72,8 @@ class IdentifierPool:
         self._beacons = 0
         """Number of beacons since the last reset."""
         self._unasked: Counter[int] = Counter()
-        """By identifier that was handed out: the number of resets after which the implementation had the variable
-        although the tester had not offered it."""
+        """By identifier that was handed out: the number of resets after which the implementation created the variable
+        although the tester had not asked for it."""
         self._handed: set[int] = set()
         """The identifiers that were handed out."""
         self._next_unknown = 0
@@ -103,11 +103,12 @@ class IdentifierPool:
         if use is not None and not use.confirmed:
             use.leaves, use.beacons = leaves, 0
 
-    def heard(self, alive: Iterable[int], deleted: Iterable[int], leaves: int) -> None:
+    def heard(self, alive: Iterable[int], deleted: Iterable[int], leaves: int, produced: Collection[int] = ()) -> None:
         """Take a beacon of the implementation into account.
 
         ``alive``: variables that its database must hold to send the beacon. ``deleted``: variables with a VarDelete.
-        ``leaves``: the time by which the last repetition was sent.
+        ``leaves``: the time by which the last repetition was sent. ``produced``: variables with a VarCreate that names
+        the implementation as their producer.
         """
         self._beacons += 1
         if self._leave:
@@ -115,7 +116,7 @@ class IdentifierPool:
                 use.beacons += 1
         for var_id in alive:
             if var_id not in self._uses and var_id not in self._kept:
-                self._unasked[var_id] += self._beacons > _STALE
+                self._unasked[var_id] += var_id in produced and self._beacons > _STALE
                 if var_id not in self._handed or self._unasked[var_id] >= _SHOWN:
                     self.foreign.add(var_id)
             self.offered(var_id, by_peer=var_id in self._uses)

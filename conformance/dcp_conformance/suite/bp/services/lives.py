@@ -340,7 +340,7 @@ def reports_while_inactive(bench: Bench) -> None:
     early, late = bench.peer(), bench.peer()
     with bench.services.deactivated("BP"):
         early.send(bench.records.report(early.node_id, 1))
-        bench.wait(1.5)
+        bench.wait(max(1.5, bench.session.known.processing))
     late.send(bench.records.report(late.node_id, 1))
     bench.some(until_neighbour(bench, late.node_id), "an entry of the second neighbour", "BP-MGT-05")
     bench.none(until_neighbour(bench, early.node_id) and [early.node_id], "no entry of the first neighbour")

@@ -152,7 +152,7 @@ def only_while_active(bench: Bench) -> None:
         bench.wait(2)
         mark = bench.mark()
         peer.send(peer.summary(bench.unknown_id(), 1))
-        bench.wait(6)
+        bench.wait(max(6, bench.session.known.processing))
         bench.none([each for each in bench.heard[mark:] if each.has_vardis], "no VarDis block while VarDis is inactive")
     bench.some(bench.probes.probe(), "VarDis answers a probe after its activation")
     if count > 6:
