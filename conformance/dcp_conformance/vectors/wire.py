@@ -104,6 +104,7 @@ class _Maker:
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
         self._profile = codec.profile
+        self._made = RecordFactory(codec)
         self._example = example_beacon(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
         present = {each.ic_type: each for each in self._vardis(self._example)}
@@ -171,7 +172,7 @@ class _Maker:
     def _record(self, kind: ICType, number: int) -> Any:
         var_id = (number + 5) % 256
         if kind is not ICType.CREATE_VARIABLES:
-            return RecordFactory(self._codec).record(kind, var_id, (number + 0x41) % 128, b"\x11\x22")
+            return self._made.record(kind, var_id, (number + 0x41) % 128, b"\x11\x22")
         replace = msgspec.structs.replace
         spec = replace(self._create.spec, var_id=var_id)
         return replace(self._create, spec=spec, upd=replace(self._create.upd, var_id=var_id))
