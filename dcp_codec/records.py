@@ -1,4 +1,4 @@
-"""Make the records of a profile, with values in the fields that it adds to those of the specification."""
+"""Make the records and headers of a profile, with values in the fields that it adds to those of the specification."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from dcp_spec.profile.definition import OwnField
 
 from .codec import Codec
 from .plan.layout import neutral
-from .values import RECORD_CLASSES, AnyRecord, ExtendedSafetyData, VarCreate, VardisRecord, VarSpec, VarUpdate
+from .values import RECORD_CLASSES, AnyRecord, BPHeader, ExtendedSafetyData, VarCreate, VardisRecord, VarSpec, VarUpdate
 
 #: Returns the value of a field that the profile adds to a record, which has its other fields.
 OwnValue = Callable[[Any, OwnField], int | float | bytes]
 
 
 class RecordFactory:
-    """Makes the records and state reports of a profile."""
+    """Makes the records, state reports and headers of a profile."""
 
     def __init__(self, codec: Codec, value: OwnValue = lambda _record, member: neutral(member)) -> None:
         """``value``: for the fields that the profile adds; by default zero."""
@@ -29,10 +29,16 @@ class RecordFactory:
         self.stamped = "creationTime" in profile.vardis.var_spec
         """Whether a VarSpec has a creation time."""
         self._limited = "timeout" in profile.vardis.var_spec
+        self._headed = bool(profile.bp.header)
+        self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
         self._data = {
             each.name: bytes(each.octets) if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
             for each in profile.srp.safety_data
         }
+
+    def header(self, sender_id: bytes, seqno: int) -> BPHeader | None:
+        """Return the header of a beacon in the network of the profile, by default 0; None if it sends no header."""
+        return BPHeader(sender_id, seqno, self._network) if self._headed else None
 
     def filled(self, record: AnyRecord) -> AnyRecord:
         """Return ``record`` in the class of the profile; one that has values for the added fields is not changed."""

@@ -11,7 +11,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan.tree import Exact, Fill, Group, Node, Rest, Scalar
 from dcp_codec.records import RecordFactory
-from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload
+from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
 from dcp_codec.views.encode_diagnosis import zero
 from dcp_codec.views.fields import Field
 
@@ -22,21 +22,14 @@ _OCTETS_A_LINE = 8
 
 def example_beacon(codec: Codec) -> Beacon:
     """Return a beacon with a state report, if the profile has one, and the creation and summary of a variable."""
-    profile = codec.profile
-    node_id = profile.types.node_id.of(b"\x02\x00\x00\x00\x00\x01")
-    header = None
-    if profile.bp.header:
-        network_id = profile.bp.network_id if profile.has_header_field("networkId") else None
-        if profile.has_header_field("networkId") and network_id is None:
-            network_id = 0
-        header = BPHeader(node_id, 41, network_id)
+    node_id = codec.profile.types.node_id.of(b"\x02\x00\x00\x00\x00\x01")
     payloads = []
     if codec.report_plan is not None:
         payloads.append(Payload(BP_PROTID_SRP, _report(codec, node_id)))
     elif codec.srp_plan is not None:
         payloads.append(Payload(BP_PROTID_SRP, _blank(_record(codec.srp_plan), codec)))
     payloads.append(Payload(BP_PROTID_VARDIS, _containers(codec, node_id)))
-    return Beacon(header, tuple(payloads))
+    return Beacon(RecordFactory(codec).header(node_id, 41), tuple(payloads))
 
 
 def _record(plan: Node) -> Group:

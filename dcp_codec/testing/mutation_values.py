@@ -177,9 +177,8 @@ class ValidValues:
         profile = self.codec.profile
         if not profile.bp.header:
             return None
-        network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
         seqno = self.number(self._types.bp_seqno.width) if profile.has_header_field("seqno") else 0
-        return BPHeader(self.node_id(), seqno, network)
+        return self._made.header(self.node_id(), seqno)
 
     def payload(self) -> Payload:
         """Draw a payload block: VarDis, SRP if the profile can encode it, or octets of another protocol."""

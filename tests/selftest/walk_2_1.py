@@ -291,7 +291,8 @@ def _containers(made: Any, octets: bytes) -> list[Any]:
         return []
 
 
-#: Cases that forward each kind of record, read what the node made itself, and compare it with the model.
+#: Cases that forward each kind of record, read what the node made itself, compare it with the model, or look at all
+#: containers.
 CASES = (
     "TC_NET_HOP_BV_01-2",
     "TC_NET_JOIN_BV_02",
@@ -299,6 +300,8 @@ CASES = (
     "TC_NET_JOIN_BV_05-update",
     "TC_NET_JOIN_BV_07",
     "TC_DCP_MODEL_BV_01-own-variable-01",
+    "TC_VD_PAY_BV_01",
+    "TC_VD_TYP_BV_01",
 )
 
 

@@ -18,13 +18,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Scalar
-from dcp_codec.values import (
-    Container,
-    ExtendedSafetyData,
-    VarCreate,
-    VardisRecord,
-    VarSpec,
-)
+from dcp_codec.values import RECORD_CLASSES, Container, ExtendedSafetyData, VarCreate, VardisRecord, VarSpec
 from dcp_conformance.model.broken_rules import broken_by
 
 from .bp import BPModel, Sizes
@@ -33,11 +27,6 @@ from .judgement import MS, Expected, Finding, Timing, either
 from .knowledge import NO_CREATION, Limits
 from .services import refused_by
 from .srp import SRPModel
-
-_RECORDS = {
-    ICType.CREATE_VARIABLES: "VarCreate", ICType.DELETE_VARIABLES: "VarDelete", ICType.UPDATES: "VarUpdate",
-    ICType.SUMMARIES: "VarSumm", ICType.REQUEST_VARUPDATES: "VarReqUpdate", ICType.REQUEST_VARCREATES: "VarReqCreate",
-}  # fmt: skip
 
 
 class NodeModel:
@@ -95,8 +84,8 @@ class NodeModel:
         container = record(plan, "Container")
         assert container is not None
         sizes: dict[ICType, int] = {}
-        for kind, name in _RECORDS.items():
-            layout = record(plan, name)
+        for kind, made in RECORD_CLASSES.items():
+            layout = record(plan, made.__name__)
             sizes[kind] = 0 if layout is None else least_size(layout)
         if profile.types.node_id.length is not None:
             sizes[ICType.CREATE_VARIABLES] += len(self.own_id)

@@ -22,6 +22,7 @@ from dcp_codec.errors import DecodeError, EncodeError, Problem
 from dcp_codec.export.example import example_beacon
 from dcp_codec.jsonform import beacon_from_json, beacon_json
 from dcp_codec.plan.tree import Fill, Many, Rest, Scalar, Text
+from dcp_codec.records import RecordFactory
 from dcp_codec.values import Beacon, Container, Payload
 from dcp_codec.views.fields import Dissection, Field
 
@@ -103,6 +104,7 @@ class _Maker:
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
         self._profile = codec.profile
+        self._made = RecordFactory(codec)
         self._example = example_beacon(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
         present = {each.ic_type: each for each in self._vardis(self._example)}
@@ -168,23 +170,12 @@ class _Maker:
         return Container(self._numbers[kind.label], tuple(self._record(kind, number) for number in range(count)))
 
     def _record(self, kind: ICType, number: int) -> Any:
-        types, var_id = self._codec.types, number + 5
-        seqno = (number + 0x41) % 128
-        match kind:
-            case ICType.SUMMARIES:
-                return types["VarSumm"](var_id % 256, seqno)
-            case ICType.UPDATES:
-                return types["VarUpdate"](var_id % 256, seqno, b"\x11\x22")
-            case ICType.REQUEST_VARUPDATES:
-                return types["VarReqUpdate"](var_id % 256, seqno)
-            case ICType.REQUEST_VARCREATES:
-                return types["VarReqCreate"](var_id % 256)
-            case ICType.DELETE_VARIABLES:
-                return types["VarDelete"](var_id % 256)
-            case ICType.CREATE_VARIABLES:
-                replace = msgspec.structs.replace
-                spec = replace(self._create.spec, var_id=var_id % 256)
-                return replace(self._create, spec=spec, upd=replace(self._create.upd, var_id=var_id % 256))
+        var_id = (number + 5) % 256
+        if kind is not ICType.CREATE_VARIABLES:
+            return self._made.record(kind, var_id, (number + 0x41) % 128, b"\x11\x22")
+        replace = msgspec.structs.replace
+        spec = replace(self._create.spec, var_id=var_id)
+        return replace(self._create, spec=spec, upd=replace(self._create.upd, var_id=var_id))
 
     def _update(self, value: bytes) -> Container:
         record = msgspec.structs.replace(self._record(ICType.UPDATES, 0), value=value)

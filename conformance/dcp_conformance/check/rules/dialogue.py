@@ -11,7 +11,6 @@ from typing import ClassVar
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.counter import Counter
 from dcp_conformance.check.reception import Kind, Proved, Shortage, reception_of
 from dcp_conformance.check.reception.following import Station
 from dcp_conformance.check.reception.links import summary
@@ -26,6 +25,32 @@ _ALONE, _SHARE = 2, 0.1
 _SOME, _TRIALS = 0.02, 20
 #: Number of records without a reaction that a finding cites.
 _CITED = 3
+#: From ``_OCCASIONS`` occasions on, at least the share ``_MISSED`` must be missed for a verdict. With fewer occasions,
+#: but at least ``_FEWEST``, all of them must be missed.
+_OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
+
+
+class Counter:
+    """Numbers of occasions and of missed ones, with the causes of the first three that were missed."""
+
+    def __init__(self) -> None:
+        self.occasions = self.missed = 0
+        self.examples: list[Statement] = []
+
+    def note(self, cause: Statement, *, missed: bool) -> None:
+        """Count an occasion; ``cause`` is the record that gave it."""
+        self.occasions += 1
+        if missed:
+            self.missed += 1
+            if len(self.examples) < 3:
+                self.examples.append(cause)
+
+    @property
+    def convincing(self) -> bool:
+        """Whether enough occasions were missed to rule out an exception."""
+        if self.occasions < _OCCASIONS:
+            return self.missed == self.occasions >= _FEWEST
+        return self.missed >= _MISSED * self.occasions
 
 
 class ReceptionLinks(Invariant):

@@ -98,8 +98,9 @@ class Repetitions(Invariant):
     """Check that a node repeats an instruction at most as often as repCnt allows.
 
     A node that the recorder does not hear may have given a reason to send an instruction again. Therefore a single
-    excess is not a failure (see :class:`~dcp_conformance.check.counter.Counter`), and runs with missing beacons do not
-    count. If creates name a producer without any recorded beacon, there is such a node, and the rule is inconclusive.
+    excess is not a failure (see :class:`~dcp_conformance.check.rules.dialogue.Counter`), and runs with missing beacons
+    do not count. If creates name a producer without any recorded beacon, there is such a node, and the rule is
+    inconclusive.
     """
 
     id = "CK_VD_REPEAT"

@@ -11,7 +11,7 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS
 from dcp_codec.codec import Codec
 from dcp_codec.testing.draws import Draws
 from dcp_codec.testing.mutation_values import ValidValues
-from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarCreate, VardisRecord
+from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, VarCreate, VardisRecord
 from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
 
@@ -33,8 +33,6 @@ class Parts:
         numbers = profile.vardis.container_types.by_name()
         self._ic_types = {kind: numbers[kind.label] for kind in ICType}
         self._made = sampler(codec)
-        self._has_header = bool(profile.bp.header)
-        self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
         self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
         self._modulus = seqno_modulus(profile.types.var_seqno.width)
         half = self._modulus // 2
@@ -68,9 +66,7 @@ class Parts:
 
     def _beacon(self, payload: Payload, sender: bytes | None, peer: int) -> Frame:
         self._seqno = (self._seqno + 1) % BP_SEQNO_MODULUS
-        header = None
-        if self._has_header:
-            header = BPHeader(self.node(peer) if sender is None else sender, self._seqno, self._network)
+        header = self._made.header(self.node(peer) if sender is None else sender, self._seqno)
         octets = self.codec.encode(Beacon(header, (payload,)))
         return Frame(octets, octets, source=self._address(peer))
 

@@ -7,7 +7,7 @@ from typing import Final
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 
 from dcp_codec.codec import Codec
-from dcp_codec.values import Beacon, BPHeader, Container, Payload, VardisRecord
+from dcp_codec.values import Beacon, Container, Payload, VardisRecord
 from dcp_conformance.frames.sampling import sampler
 
 #: Protocol identifier that no node implements.
@@ -56,12 +56,7 @@ class Samples:
 
     def beacon(self, *blocks: Payload, station: int = 1) -> bytes:
         """Return a beacon of a station. Raises ``EncodeError`` if a value does not fit into a field of the profile."""
-        profile = self.codec.profile
-        header = None
-        if profile.bp.header:
-            network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
-            header = BPHeader(self.node(station), 0, network)
-        return self.codec.encode(Beacon(header, blocks))
+        return self.codec.encode(Beacon(self._made.header(self.node(station), 0), blocks))
 
     def each(self) -> list[bytes]:
         """Return a beacon for each kind of container, one with a state report and one of an unknown protocol."""
