@@ -99,6 +99,7 @@ def test_reports_of_an_application_may_equal_data_of_an_earlier_case():
     session = Session(found.config.codec, sut.lower_tester(), sut.connection(found.upper), found.pics)
     runner = Runner(session, sut)
     runner.prepare()
+    assert runner.run(known_cases()[SANITY]).verdict is Verdict.PASS
     session.foreign_reports.submitted({each.name: 0 for each in found.config.safety_fields.numbers()}, sut.now)
     result = runner.run(known_cases()["TC_SRP_REC_TI_01"])
     assert result.verdict is Verdict.INCONCLUSIVE
