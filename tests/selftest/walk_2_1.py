@@ -291,7 +291,7 @@ def _containers(made: Any, octets: bytes) -> list[Any]:
         return []
 
 
-#: Cases that forward each kind of record, read what the node made itself, compare it with the model, or look at all
+#: Cases that forward each kind of record, read what the node made itself, compare it with the model, or check all
 #: containers.
 CASES = (
     "TC_NET_HOP_BV_01-2",
