@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar, Final
 
+import msgspec
 import pytest
 from dcp_conformance.fuzz.findings.artefact import load, save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
@@ -11,21 +12,39 @@ from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.stateful.corpus import corpus
 from dcp_conformance.stateful.driver import Counterexample, Driver
+from dcp_conformance.stateful.machine import NodeMachine
 from dcp_conformance.stateful.search import search
-from dcp_conformance.stateful.steps import GROUP, ZERO, Beacon, Call, Client, Records, Report, Step, Wait, text
+from dcp_conformance.stateful.steps import (
+    ENDS,
+    GROUP,
+    ZERO,
+    Beacon,
+    Call,
+    Client,
+    Records,
+    Report,
+    Step,
+    Trait,
+    Wait,
+    text,
+)
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
+from dcp_spec.status import SRPStatus
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import VarReqUpdate
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.receive import Receiver as BPReceiver
+from dcp_stack.bp.wire import Block, BPWire
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import PayloadTransmitted
+from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import Database
+from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
 
 CONFIG = reference_config(get_codec("dcp-2.0"))
@@ -384,3 +403,152 @@ def test_values_of_equal_octets_are_judged_like_others() -> None:
              for place, each in enumerate(("zeros", "ones"), 1)]  # fmt: skip
     repeated = Call("BP-TransmitPayload", {"protId": 0, "payload": 4, "fill": "zeros"})
     assert judged(registering(2, mode="BP_QMODE_REPEAT"), *fills, repeated, Wait(3), repeated, Wait(3)) == ()
+
+
+class Lenient(BPWire):
+    """Delivers what is there of a block that is too long, and counted blocks after the end of a beacon."""
+
+    def parse(self, octets):
+        found = super().parse(octets)
+        end = 18 + int.from_bytes(octets[11:13], "big")
+        start = 18 + sum(4 + len(each.payload) for each in found.blocks)
+        if len(found.blocks) < octets[13] and start + 4 < len(octets):
+            rest = octets[start + 4 : end] if start < end else octets[start + 4 :]
+            last = Block(int.from_bytes(octets[start : start + 2], "big"), rest, start)
+            return msgspec.structs.replace(found, blocks=(*found.blocks, last))
+        return found
+
+
+class Hasty(BeaconingProtocol):
+    """Announces the beacon that contains the payload as the next one."""
+
+    def __init__(self, config, *, emit, **more):
+        def tell(effect):
+            late = type(effect) is PayloadTransmitted
+            emit(type(effect)(effect.protocol_id, effect.next_epoch - 500 * MS) if late else effect)
+
+        super().__init__(config, emit=tell, **more)
+
+
+class Stale(BeaconingProtocol):
+    """Announces the time of the beacon that contains the payload."""
+
+    def __init__(self, config, *, emit, **more):
+        def tell(effect):
+            late = type(effect) is PayloadTransmitted
+            emit(
+                type(effect)(effect.protocol_id, effect.next_epoch - config.bp.beacon_period_ms * MS)
+                if late
+                else effect
+            )
+
+        super().__init__(config, emit=tell, **more)
+
+
+class Tired(BeaconingProtocol):
+    """Prolongs its beacon period."""
+
+    def handle_timeout(self, now, wall):
+        self._schedule._period = 5 * self._parameters.period
+        super().handle_timeout(now, wall)
+
+
+class Thrifty(StateReporting):
+    """Does not send safety data again that has not changed."""
+
+    _last = None
+
+    def update_safety_data(self, data, *, now, wall):
+        if data == self._last:
+            return UpdateSafetyDataConfirm(SRPStatus.OK)
+        self._last = data
+        return super().update_safety_data(data, now=now, wall=wall)
+
+
+class Remembering(NeighbourTable):
+    """Still finds the entry that it has found last, after that has expired."""
+
+    _found = None
+
+    def lookup(self, node_id):
+        entry = super().lookup(node_id)
+        self._found = entry or self._found
+        return self._found if self._found is not None and self._found.node_id == node_id else entry
+
+
+class Quiet(Vardis):
+    """Sends no VarDelete after the timeout of a variable."""
+
+    def _scrub(self, now):
+        alive = [each for each in self._database.entries.values() if not each.is_deleted]
+        super()._scrub(now)
+        for entry in alive:
+            if entry.is_deleted:
+                self._database.delete_q.remove(entry.spec.var_id)
+
+
+class StillAsking(Receiver):
+    """Requests an update although the variable was deleted before."""
+
+    def _delete(self, record, offset):
+        asks = record.var_id in self._database.req_upd_q
+        super()._delete(record, offset)
+        if asks:
+            self._database.req_upd_q.append(record.var_id)
+
+
+def ending(trait: Trait) -> Beacon:
+    """Return a beacon whose last block is not one."""
+    return Beacon(0, (Client(0, 4), Client(0, 60)), trait=trait)
+
+
+_SUBMITTED: Final = Call("SRP-UpdateSafetyData")
+
+
+@pytest.mark.req("BP-RX-09", "BP-RX-14", "BP-PTI-02", "BP-TX-01", "SRP-SRV-03", "SRP-NT-01", "VD-SCR-05", "VD-PD-04")
+@pytest.mark.parametrize(
+    ("fault", "steps", "requirement"),
+    [
+        (Lenient, (registering(2, 100), ending("last block too long")), "BP-RX-09"),
+        (Lenient, (registering(2, 100), ending("last block after the end, counted")), "BP-RX-14"),
+        (Hasty, (registering(2), submitting(1), Wait(2)), "BP-PTI-02"),
+        (Stale, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(30)), "BP-PTI-02"),
+        (Tired, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(130)), "BP-TX-01"),
+        (Thrifty, (_SUBMITTED, Wait(3), Call(_SUBMITTED.method, {"data": "again"}), Wait(3)), "SRP-SRV-03"),
+        (Remembering, (Beacon(0, (Report(0, 5),)), Wait(2), Wait(40)), "SRP-RUN-02"),
+        (Quiet, (Beacon(0, (creating(0, 1, timeout=1200),)), Wait(40)), "VD-SCR-04"),
+        (
+            StillAsking,
+            (
+                Beacon(0, (creating(0, 1),)), Wait(3), Beacon(0, (Records("summary", 0, 1, 9),)),
+                Beacon(0, (Records("delete", 0),)), Wait(3),
+            ),
+            "VD-PS-02",
+        ),
+    ],
+)  # fmt: skip
+def test_a_fault_is_named(fault: type, steps: tuple[Step, ...], requirement: str) -> None:
+    assert judged(*steps) == ()
+    assert requirement in judged(*steps, make=maker(node_with(fault)))
+
+
+@pytest.mark.req("BP-RX-12", "BP-RX-09")
+@pytest.mark.parametrize("reading", [{}, {"X02": "frame-size"}, {"X48": "discard-beacon"}], ids=str)
+@pytest.mark.parametrize("trait", ENDS, ids=str)
+def test_each_reading_of_the_end_of_a_beacon_is_allowed(trait: Trait, reading: dict[str, str]) -> None:
+    config = msgspec.structs.replace(CONFIG, readings=reading)
+    steps = (registering(2, 100), ending(trait), Wait(2), Beacon(0, (Client(0, 5),)))
+    for readings in (None, {}):
+        Driver(VirtualExecutor(config, readings=readings)).run(steps)
+
+
+def test_a_search_draws_independent_sequences() -> None:
+    class Noting(NodeMachine):
+        titles: ClassVar[list[str]] = []
+
+        def teardown(self) -> None:
+            super().teardown()
+            self.titles.append(self.title)
+
+    search(lambda: VirtualExecutor(CONFIG), sequences=27, steps=1, seed=3, machine=Noting)
+    assert len(set(Noting.titles)) > 10

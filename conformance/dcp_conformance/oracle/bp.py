@@ -122,6 +122,8 @@ class BPModel:
         self._paced: list[int] = []
         """Times of beacons with the present period, ns."""
         self._pace_from = -(1 << 62)
+        self._lacking = -(1 << 62)
+        """Last time at which there may have been no payload for a beacon, ns."""
         self._foretold: int | None = None
         """Time of the next beacon as the last notification states it, ns of the tester; None if unknown."""
         self._early: list[int] = []
@@ -196,6 +198,8 @@ class BPModel:
         ok = str(result.get("status", "")).replace("_", "-").endswith("-STATUS-OK")
         client = self.clients.get(params.get("protId", -1))
         self._settle(time)
+        if method not in ("BP-ListRegisteredProtocols", "BP-QueryNumberBufferedPayloads", "BP-TransmitPayload"):
+            self._lacking = time
         match method:
             case "BP-MGMT-Activate" | "BP-MGMT-Deactivate":
                 active = method == "BP-MGMT-Activate"
@@ -352,22 +356,26 @@ class BPModel:
         self._pace_from = time + 3 * max(self.period, period) + self.timing.flight
         self.period, self._interval = max(self.period, period), period
 
-    def _too_fast(self, time: int) -> Iterator[Finding]:
+    def _pace(self, time: int) -> Iterator[Finding]:
         """Judge the mean interval of beacons; single ones vary, and a beacon may be left out."""
         if time < self._pace_from or not self.active:
             return
         self._paced.append(time)
         if len(self._paced) <= _INTERVALS:
             return
-        mean = (time - self._paced[0]) / _INTERVALS
+        mean, always = (time - self._paced[0]) / _INTERVALS, self._paced[0] > self._lacking
         self._paced.clear()
         if mean + 2 * self.timing.flight / _INTERVALS < 0.6 * self._interval:
             expected = f"a beacon every {self._interval / MS:g} ms on average"
             yield Finding(("BP-PAR-02", "BP-TX-01"), expected, f"every {mean / MS:.1f} ms")
+        elif always and mean > 2.5 * self._interval + self._delay and not self.timing.lossy:
+            expected = f"a beacon every {self._interval / MS:g} ms on average, since a payload is repeated"
+            yield Finding(("BP-TX-01",), expected, f"every {mean / MS:.1f} ms")
 
     def resized(self, packet: int, time: int) -> None:
         """Record a new BPPAR_MAXIMUM_PACKET_SIZE."""
         self._settle(time)
+        self._lacking = time
         self.packet = packet
         self._packets.append((time, packet))
         for client in self.clients.values():
@@ -402,7 +410,6 @@ class BPModel:
         flight = self.timing.flight
         self.beacons += 1
         yield from self._numbered(seqno)
-        yield from self._too_fast(time)
         yield from self._before_epoch(time)
         if not self.active and time - self.switched > flight:
             yield Finding(("BP-MGT-02", "BP-TX-07"), "no beacon while BP is inactive", f"a beacon of {size} octets")
@@ -428,19 +435,25 @@ class BPModel:
                     ("BP-QM-07",), "one payload of a client in a beacon", f"{taken[prot_id]} of protocol {prot_id}"
                 )
             yield from self._sent(client, octets, time)
+        if not any(each.mode is _Q.REPEAT and each.prot_id in taken for each in self.clients.values()):
+            self._lacking = time
+        yield from self._pace(time)
         yield from self._starving(taken, size, time)
 
     def _before_epoch(self, time: int) -> Iterator[Finding]:
-        """Judge that not all of the last beacons came long before their announced times."""
+        """Judge that not all of the last beacons came long before, or after, their announced times."""
         foretold, self._foretold = self._foretold, None
         if foretold is None or self.timing.clock is None or time < self._pace_from or not self.active:
             return
         self._early = [*self._early[1 - _FORETOLD :], foretold - time]
-        if len(self._early) == _FORETOLD and min(self._early) > self._interval // 2 + self.timing.clock:
-            expected = (
-                f"the time of the next beacon as nextBeaconGenerationEpoch, within {self._interval / 2 / MS:g} ms"
-            )
-            yield Finding(("BP-PTI-02", "BP-PAR-02"), expected, f"a time {min(self._early) / MS:g} ms later, or more")
+        off = self._interval // 2 + self.timing.clock
+        if len(self._early) < _FORETOLD or -off <= min(self._early) <= off:
+            return
+        # A slot without a payload has no beacon.
+        always = time - self._lacking > (_FORETOLD + 1) * self._interval
+        if min(self._early) > off or (always and max(self._early) < -off):
+            expected = f"the time of the next beacon as nextBeaconGenerationEpoch, within {off / MS:g} ms"
+            yield Finding(("BP-PTI-02", "BP-PAR-02"), expected, f"times that differ by {self._early[-1] / MS:g} ms")
             self._early.clear()
 
     def _numbered(self, seqno: int | None) -> Iterator[Finding]:
@@ -552,31 +565,38 @@ class BPModel:
 
     # -- reception ---------------------------------------------------------------------------------------------
 
-    def received(self, blocks: list[tuple[int, bytes]], time: int, forbidden: tuple[str, ...]) -> None:
-        """Record the blocks of a frame to the node; ``forbidden``: why its receiver must discard it, empty if not."""
-        for prot_id, octets in blocks:
+    def received(
+        self, blocks: list[tuple[int, bytes]], time: int, forbidden: tuple[str, ...], last: tuple[str, ...] | None,
+        *, sure: bool,
+    ) -> None:  # fmt: skip
+        """Record the blocks of a frame to the node; ``forbidden``: why its receiver must discard it, empty if not.
+
+        ``last``: why it must not deliver the last block, empty if it may; None if that is one like the others.
+        ``sure``: whether it must deliver the others.
+        """
+        for place, (prot_id, octets) in enumerate(blocks):
             client = self.clients.get(prot_id)
-            never = forbidden
+            never, open_ = forbidden, not sure
+            if last is not None and place == len(blocks) - 1:
+                never, open_ = never or last, True
             if not never and not self.active:
                 never = ("BP-RX-13", "BP-MGT-03")
             if not never and client is None:
                 never = ("BP-DRG-04", "BP-RX-08") if prot_id in self._gone else ("BP-RX-08",)
             # X46, X49: empty blocks, and blocks larger than registered, may be ignored.
-            must = not never and client is not None and 0 < len(octets) <= client.most and not self.timing.lossy
+            must = not (never or open_ or self.timing.lossy) and client is not None and 0 < len(octets) <= client.most
             self.deliveries.append(Delivery(prot_id, octets, time, must, never))
 
     def indicated(self, prot_id: int, octets: bytes) -> Iterator[Finding]:
         """Judge a BP-ReceivePayload.indication about a client of the tester."""
-        for place, each in enumerate(self.deliveries):
-            if each.prot_id == prot_id and each.octets == octets and not each.never:
-                del self.deliveries[place]
-                return
-        for place, each in enumerate(self.deliveries):
-            if each.prot_id == prot_id and each.octets == octets:
-                del self.deliveries[place]
-                yield Finding(each.never, f"no payload delivered to protocol {prot_id}", _brief(octets))
-                return
-        if prot_id in self.clients or prot_id in self._gone:
+        alike = [each for each in self.deliveries if each.prot_id == prot_id and each.octets == octets]
+        if alike:
+            # One that is due, otherwise one that is allowed.
+            chosen = min(alike, key=lambda each: (bool(each.never), not each.must))
+            self.deliveries = [each for each in self.deliveries if each is not chosen]
+            if chosen.never:
+                yield Finding(chosen.never, f"no payload delivered to protocol {prot_id}", _brief(octets))
+        elif prot_id in self.clients or prot_id in self._gone:
             yield Finding(("BP-RXP-02", "BP-RXP-01"), "one indication of each payload, with its octets", _brief(octets))
 
     def undelivered(self, time: int) -> Iterator[Finding]:
@@ -613,6 +633,9 @@ class BPModel:
         ``epoch``: nextBeaconGenerationEpoch on the tester's monotonic clock, ns; None if it is unknown.
         """
         self._foretold = epoch
+        if epoch is not None and self.timing.clock is not None and epoch + self.timing.clock + self._delay < time:
+            past = f"a time {(time - epoch) / MS:g} ms ago"
+            yield Finding(("BP-PTI-02",), "the time of the next beacon as nextBeaconGenerationEpoch", past)
         client = self.clients.get(prot_id)
         if client is None or self.timing.lossy:
             return
@@ -625,9 +648,14 @@ class BPModel:
             client.told = 0
 
     @property
+    def _delay(self) -> int:
+        """The longest time from an event to its notification, ns."""
+        return self.timing.late + self.timing.notice + self.timing.flight
+
+    @property
     def _slack(self) -> int:
         """The longest time from a beacon to the notifications about it, ns."""
-        return self.timing.late + self.timing.notice + self.timing.flight + self.period
+        return self._delay + self.period
 
     @property
     def state(self) -> str:

@@ -105,6 +105,10 @@ class VardisModel(Oracle):
         """By kind and variable."""
         self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
         self._longest = (limits.max_value_length, limits.max_description_length)
+        self._told: dict[int, int] = {}
+        """By variable: the time of the last VarDelete of the node, ns."""
+        self._asked: dict[tuple[ICType, int], int] = {}
+        """By kind and variable: the time of the only reason for the request that the node may have queued, ns."""
         self._passed: dict[int, int] = {}
         """Variables of others whose timeout has passed, with the time at which a scrubbing node has deleted them."""
         self.payloads = 0
@@ -178,6 +182,11 @@ class VardisModel(Oracle):
             # The answer found none of its variable in the queue.
             self._due[kind, var_id] = Due(spec.rep_cnt, time, requirement, frame)
 
+    def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
+        one = self.variables[var_id].repetitions.get((kind, 0))
+        self._asked[kind, var_id] = time if one is None or one.counted == one.allowed else NEVER
+        super()._ask(kind, var_id, time, frame, requirement)
+
     def _surely_sent(self, var_id: int) -> bool:
         """Return whether all VarUpdates of a variable were sent, so that none is in the queue."""
         for key, one in self.variables[var_id].repetitions.items():
@@ -215,9 +224,15 @@ class VardisModel(Oracle):
         """Process a timeout: only a node that scrubs the variables of others deletes them (X26)."""
         own = self._own(variable.now)
         if own or self._scrubs:
+            due, spec = variable.due, variable.now.spec
             super()._fade(variable, var_id, time)
-            if variable.now.state == "deleted":
-                self.why[var_id] = ("VD-SCR-04", "VD-SCR-05")
+            if variable.now.state != "deleted":
+                return
+            self.why[var_id] = ("VD-SCR-04", "VD-SCR-05")
+            if self._told.get(var_id, due) <= due and spec is not None and spec.rep_cnt > 0:
+                # Its place in the queue is not known.
+                super()._oblige(_DELETES, var_id, 0, time, 0, "VD-SCR-04")
+                self._due[_DELETES, var_id] = Due(1, time, "VD-SCR-04", 0)
         elif self._scrubs is None and time >= variable.due:
             self._passed[var_id] = variable.due + (self._scrubbing or 0) + self._latency
             self._lose(variable)
@@ -469,6 +484,8 @@ class VardisModel(Oracle):
                 yield from self._missing(groups, free, since, causes if self._whole else {})
                 yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
+            if kind is _DELETES:
+                self._told[_var_id(record)] = time
             key = kind, _var_id(record)
             if due := self._due.get(key):
                 due.left -= 1
@@ -489,10 +506,14 @@ class VardisModel(Oracle):
         """Return the variables of which a payload shows the present version, and no earlier one."""
         found = set[int]()
         for record in (each for container in containers for each in container.records):
-            if record.IC_TYPE not in (_SUMMARIES, _UPDATES, _CREATES):
-                continue
             variable = self.variables.get(_var_id(record))
             if variable is None or variable.uncertain or not 1 < len(variable.versions) < VERSIONS:
+                continue
+            kind = record.IC_TYPE
+            if self._whole and kind and variable.now.since == self._asked.get((kind, _var_id(record))):
+                # The reason to ask, and the change of the variable, came at the same time.
+                found.add(_var_id(record))
+            if kind not in (_SUMMARIES, _UPDATES, _CREATES):
                 continue
             *earlier, now = variable.versions
             if self._shows(record, now) and not any(self._shows(record, each) for each in earlier):

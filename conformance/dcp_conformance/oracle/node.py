@@ -28,6 +28,8 @@ from .knowledge import NO_CREATION, Limits
 from .services import refused_by
 from .srp import SRPModel
 
+#: More octets than a report has.
+_REPORT = 300
 
 class NodeModel:
     """One node as its specification has it. All times are ns of the tester's clock."""
@@ -53,6 +55,7 @@ class NodeModel:
         self.values = dict(parameters)
         self._features = features(profile.spec_version)
         self._alone = alone
+        self._readings = readings or {}
         header, block = record(codec.envelope_plan, "BPHeader"), record(codec.envelope_plan, "Payload")
         assert block is not None
         self._sizes = Sizes(
@@ -66,13 +69,15 @@ class NodeModel:
             self._features, timing, own_id, round(self.values.get("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", 3000) * MS),
             alone=alone, room=profile.limits.max_neighbours,
         )  # fmt: skip
-        self.vardis = self._vardis(readings or {})
+        self.vardis = self._vardis(self._readings)
         self.since = -(1 << 62)
         """Time of the last VarDis payload."""
         self._blocked = -(1 << 62)
         """Last time at which something may have kept a VarDis payload from being sent."""
         self._last = -(1 << 62)
         self._renamed = -(1 << 62)
+        self._held = -(1 << 62)
+        """Last time at which there may have been no room for a report."""
         self._created: dict[int, tuple[int, int]] = {}
         """creationTime of variables of the node, in ticks, with the times at which they were created."""
         self._number = 0
@@ -113,6 +118,11 @@ class NodeModel:
     def headers(self) -> int:
         """Octets of the headers of a beacon with one block."""
         return self._sizes.header + self._sizes.block
+
+    @property
+    def free(self) -> int:
+        """Octets of a payload that is alone in a beacon of the maximum packet size."""
+        return int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]) - self.headers
 
     @property
     def least_payload(self) -> int:
@@ -235,7 +245,8 @@ class NodeModel:
                 self.srp.submitted(dict(params["sData"]), before[1], after[1], time)
         elif method == "SRP-NeighbourTable":
             rows = [(_octets(row["nodeId"]), row) for row in result.get("neighbours", ()) if "nodeId" in row]
-            yield from self.srp.listed(rows, time, after[1] - after[0])
+            only = _octets(params["nodeId"]) if "nodeId" in params else None
+            yield from self.srp.listed(rows, time, after[1] - after[0], only)
         elif method.startswith(("RTDB-", "VD-MGMT-")):
             yield from self.vardis.confirmed(method, params, result, time)
         else:
@@ -293,10 +304,24 @@ class NodeModel:
 
     # -- frames ----------------------------------------------------------------------------------------------
 
-    def received(self, blocks: list[tuple[int, bytes]], time: int, forbidden: tuple[str, ...] = ()) -> None:
-        """Process a frame to the node. ``forbidden``: why its receiver must discard it whole; empty if it must not."""
+    def received(
+        self,
+        blocks: list[tuple[int, bytes]],
+        time: int,
+        forbidden: tuple[str, ...] = (),
+        last: tuple[str, ...] | None = None,
+    ) -> None:
+        """Process a frame to the node. ``forbidden``: why its receiver must discard it whole; empty if it must not.
+
+        ``last``: why its last block is not one; None if it is.
+        """
         self._number += 1
-        self.bp.received(blocks, time, forbidden)
+        # X48: a receiver may discard a frame with another number of blocks.
+        sure = last is None or self._readings.get("X48") == "deliver-blocks"
+        if last == ("BP-RX-14",) and self._readings.get("X02") != "length-field":
+            # The end of the frame may decide, and not that of the beacon.
+            last = ()
+        self.bp.received(blocks, time, forbidden, last, sure=sure)
         closed = forbidden or (() if self.bp.active else ("BP-RX-13", "BP-MGT-03"))
         for prot_id, octets in blocks:
             if prot_id == BP_PROTID_SRP and self.codec.profile.srp.is_report:
@@ -349,6 +374,8 @@ class NodeModel:
         if len(octets) + self.vardis.room.most + self._sizes.block > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):
             self._blocked = time
             self.vardis.postpone(time)
+        if len(octets) + _REPORT > self.free:
+            self._held = time
         self._last = time
 
     def _reported(self, report: ExtendedSafetyData, sender: bytes | None, time: int) -> Iterator[Finding]:
@@ -403,8 +430,12 @@ class NodeModel:
             if self.codec.profile.behaviour.payload_transmitted_indication:
                 yield from self.bp.unconfirmed(time)
         self.srp.expire(time)
+        if self.free < _REPORT:
+            self._held = time
+        if self.bp.active:
+            yield from self.srp.unsent(time, max(self._held, self.bp.switched), self.bp.period)
         yield from self.bp.silent(self._last, time)
-        if self.headers + self.vardis.room.most > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):
+        if self.vardis.room.most > self.free:
             # A payload of VarDis may be larger than a beacon may be.
             self._hold(time)
         if (

@@ -72,8 +72,8 @@ class SRPModel:
         self._never: dict[bytes, tuple[str, ...]] = {}
         """Nodes that must not be in the table, with the requirements."""
         self.handed: list[Handed] = []
-        self._unit = (1_000_000_000, 1)
-        self.switched = False
+        self._awaited: int | None = None
+        """Time of the last submission, ns; None if a beacon after it had its safety data."""
         self._crowded = False
         self._expired = -(1 << 62)
 
@@ -144,14 +144,21 @@ class SRPModel:
         self._slow, self.timeout, self._changed = max(self._slow, self.timeout), timeout, time
         self._expired = -(1 << 62)
 
-    def listed(self, entries: Sequence[tuple[bytes, Mapping[str, Any]]], time: int, offset: int) -> Iterator[Finding]:
-        """Judge the content of the neighbour table. ``offset``: of the wall clock to ``time``, ns."""
+    def listed(
+        self, entries: Sequence[tuple[bytes, Mapping[str, Any]]], time: int, offset: int, only: bytes | None = None
+    ) -> Iterator[Finding]:
+        """Judge the content of the neighbour table. ``offset``: of the wall clock to ``time``, ns.
+
+        ``only``: the node that was looked up; None for all.
+        """
         self.expire(time)
         rows = dict(entries)
         if len(rows) < len(entries):
             twice = next(each for each, count in Counter(node_id for node_id, _ in entries).items() if count > 1)
             yield Finding(("SRP-NT-01",), f"one entry of {_name(twice)}", "several")
         for node_id, known in self.table.items():
+            if only not in (None, node_id):
+                continue
             name = _name(node_id)
             row = rows.get(node_id)
             if row is None:
@@ -190,6 +197,7 @@ class SRPModel:
     def submitted(self, values: Any, before: int, after: int, time: int) -> None:
         """Record an SRP-UpdateSafetyData with status OK, between two times of the tester's wall clock."""
         self.handed.append(Handed(len(self.handed), values, before, after, time))
+        self._awaited = time
 
     def sent(
         self, report: ExtendedSafetyData, values: Any, stamp: int | None, sender: bytes | None, time: int
@@ -203,6 +211,8 @@ class SRPModel:
         mine = [each for each in self.handed if each.values == values]
         if not mine:
             return
+        if mine[-1] is self.handed[-1]:
+            self._awaited = None
         this = mine[-1]
         if len(mine) > 1:
             # Several submissions have the same data: identify this one by its sequence number.
@@ -231,6 +241,17 @@ class SRPModel:
         if stamp is not None:
             yield from self._stamped(this, stamp)
 
+    def unsent(self, time: int, held: int, period: int) -> Iterator[Finding]:
+        """Judge that no beacon had the last safety data by ``time``. ``held``: until when there was no room, ns.
+
+        ``period``: the longest beacon period, ns.
+        """
+        if self._awaited is None or self.timing.lossy or not self._alone or not self.timing.patience:
+            return
+        if time - max(self._awaited, held) > max(self.timing.patience, 10 * period):
+            self._awaited = None
+            yield Finding(("SRP-SRV-03", "SRP-SRV-04"), "the safety data of the last submission in a beacon", "none")
+
     def _numbered(self, this: Handed, seqno: int) -> Iterator[Finding]:
         for each in reversed(self.handed[: this.number]):
             if each.seqno is None:
@@ -258,6 +279,11 @@ class SRPModel:
     def watched(self) -> bool:
         """Whether there is anything to query in the table."""
         return bool(self.table or self._never)
+
+    @property
+    def known(self) -> list[bytes]:
+        """A few nodes that were or are in the table, or must not be in it."""
+        return [*list(self._never)[-1:], *list(self.table)[-1:]]
 
     def state_of(self, node_id: bytes) -> str:
         """A name of the state of an entry, for statistics."""

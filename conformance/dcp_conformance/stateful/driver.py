@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from typing import Any, Final
 
@@ -22,6 +23,8 @@ from dcp_conformance.upper_tester import Answer
 from .executor import Event, Executor
 from .steps import (
     AGAIN,
+    DATA,
+    ENDS,
     FAULTS,
     FILL,
     GROUP,
@@ -30,10 +33,12 @@ from .steps import (
     Beacon,
     Call,
     Client,
+    Data,
     Fill,
     Records,
     Report,
     Step,
+    Trait,
     Wait,
     text,
 )
@@ -55,6 +60,8 @@ _KINDS: Final = {
 #: Sequence numbers, and octets after the last payload, of beacons that are unusual.
 _NUMBERS: Final = {"seqno 0": 0, "seqno largest": -1}
 _PADDING: Final = {"padded": b"\xa5" * 46, "padded far": bytes(200)}
+#: Octets of the longest beacon that a bearer may pad.
+_PADDED: Final = 64
 _QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"
 _TABLE, _DESCRIBE, _ALL = "SRP-NeighbourTable", "RTDB-DescribeVariable", "RTDB-DescribeDatabase"
 
@@ -114,7 +121,8 @@ class Driver:
         self._builder = FrameBuilder(executor.codec)
         self._made = sampler(executor.codec)
         self._mark = 0
-        self._handed = 0
+        self._shown: dict[int, dict[str, Any]] = {}
+        """The safety data before, by the number of the neighbour."""
         self._seqnos: Counter[int] = Counter()
         self._sent = -(1 << 62)
         """Time of the last frame, ns."""
@@ -280,20 +288,21 @@ class Driver:
             params["varId"] = self._variable(params["varId"])
         if params.get("name") == "VARDISPAR_MAX_PAYLOAD_SIZE":
             params["value"] = max(params["value"], self.model.least_payload)
+        if params.get("name") and isinstance(params.get("name"), int):
+            params["name"] = _letters(params["name"])
+        if isinstance(params.get("descr"), int):
+            params["descr"] = _letters(params["descr"], wide=params.get(FILL) == "ones")
         for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
                 again, fill = bool(params.pop(AGAIN, False)), params.pop(FILL, "")
                 params[name] = self._octets(params[name], again=again, fill=fill).hex()
-        for name in ("descr", "name"):
-            if isinstance(params.get(name), int):
-                params[name] = _letters(params[name])
         modes = features(self.executor.codec.profile.spec_version).queueing_modes
         if params.get("queueingMode", "").startswith(QueueingMode.QUEUE) and params["queueingMode"] not in modes:
             # 1.0 has one mode with a queue.
             params["queueingMode"] = str(QueueingMode.QUEUE)
         if step.method == "SRP-UpdateSafetyData":
-            self._handed += not params.pop(AGAIN, False)
-            params["sData"] = self._safety_data(self._handed)
+            kind: Data = "again" if params.pop(AGAIN, False) else params.pop(DATA, "")
+            params["sData"] = self._safety_data(OWN, kind)
         return params
 
     def _variable(self, number: int) -> int:
@@ -309,13 +318,25 @@ class Driver:
         mark = self._mark.to_bytes(2, "big") if size > 1 else bytes((self._mark % 256,))
         return (mark * (size // len(mark) + 1))[:size]
 
-    def _safety_data(self, number: int) -> dict[str, Any]:
-        values: dict[str, Any] = {}
+    def _safety_data(self, node: int, kind: Data) -> dict[str, Any]:
+        """Return safety data that differ from those before of this node as ``kind`` says."""
+        before = self._shown.get(node)
+        if kind == "again" and before is not None:
+            return before
+        self._mark += 1
+        number, values = self._mark, dict[str, Any]()
         for index, field in enumerate(self.executor.codec.profile.srp.safety_data):
-            small = (7 * number + 3 * index + 1) % 100
-            # All digits of a double, so that a shorter number shows.
-            value = small + 1 / 3 if field.type == "f64" else small
-            values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else value
+            small = 0 if kind == "zeros" else (7 * number + 3 * index + 1) % 100
+            value: Any = small
+            if field.type == "opaque":
+                value = bytes([small] * field.octets).hex()
+            elif field.type.startswith("f") and kind == "near" and before is not None:
+                value = before[field.name] + 0.1
+            elif field.type.startswith("f") and kind != "zeros":
+                # All digits of a double, so that a shorter number shows.
+                value = small + 1 / 3 if kind != "far" else (-1) ** index * 5000.0 * (small + 1)
+            values[field.name] = value
+        self._shown[node] = values
         return values
 
     # -- looking ---------------------------------------------------------------------------------------------
@@ -351,6 +372,8 @@ class Driver:
             self._look(_QUERY, protId=prot_id)
         if model.srp.watched:
             self._look(_TABLE)
+            for node_id in model.srp.known:
+                self._look(_TABLE, nodeId=node_id.hex(":"))
         if self.protocols:
             self._look(_LIST)
         if model.vardis.mine:
@@ -373,7 +396,8 @@ class Driver:
                 return
             time = executor.now()
             executor.send(octets, address, len(blocks))
-            self.model.received([(each.protocol_id, each.octets) for each in blocks], time, forbidden)
+            contents = [(each.protocol_id, each.octets) for each in blocks]
+            self.model.received(contents, time, forbidden, ENDS.get(step.trait))
             self._sent = time
             self._alive()
         if not executor.looks:
@@ -405,7 +429,7 @@ class Driver:
                     ]
                 elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
                     for number in range(each.neighbour, each.neighbour + each.count):
-                        report = self._report(number, each.seqno, earlier=each.earlier)
+                        report = self._report(number, each)
                         event = f"report{about}{' of a wrong length' if each.excess else ''}"
                         self._count(model.srp.state_of(report.node_id), event)
                         made = self._builder.srp(report)
@@ -474,10 +498,27 @@ class Driver:
         seqno = self._seqnos[step.sender]
         if step.trait in _NUMBERS:
             seqno = _NUMBERS[step.trait] % (1 << 8 * profile.types.bp_seqno.width)
-        octets = self._builder.beacon(sender, seqno, blocks, network_id=network, lies=lies)
+        if step.trait in ENDS:
+            plain = all(isinstance(each, Client) for each in step.blocks) and len(blocks) > 1
+            if not plain or not profile.has_header_field("length") or not profile.has_header_field("numPayloads"):
+                return None
+            octets = self._ending(step.trait, sender, seqno, blocks, network)
+        else:
+            octets = self._builder.beacon(sender, seqno, blocks, network_id=network, lies=lies)
         if step.trait in _PADDING and profile.has_header_field("length"):
             octets += _PADDING[step.trait]
         return octets if len(octets) <= profile.limits.uwb_max_packet else None
+
+    def _ending(self, trait: Trait, sender: bytes, seqno: int, blocks: list[Block], network: int | None) -> bytes:
+        """Return a beacon whose end is as ``trait`` says."""
+        make, count = partial(self._builder.beacon, sender, seqno, network_id=network), len(blocks)
+        whole = make(blocks)
+        if trait == "last block too long":
+            # A bearer pads short frames.
+            more = 1 if len(whole) > _PADDED else 1000
+            return make(blocks, lies={f"payloads[{count - 1}].length": len(blocks[-1].octets) + more})
+        shorter = make(blocks[:-1], lies={"bp.numPayloads": count} if trait.endswith("counted") else {})
+        return shorter + whole[len(shorter) :]
 
     def _record(self, each: Records, number: int) -> VardisRecord:
         names, profile = self.executor.names, self.executor.codec.profile
@@ -488,7 +529,7 @@ class Driver:
             return self._made.record(_KINDS[each.kind], var_id, seqno, value)
         producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]
         longest = (1 << 8 * profile.types.var_timeout.width) - 1
-        descr = _letters(each.descr).encode()
+        descr = _letters(each.descr, wide=each.fill == "ones").encode()
         if each.fill == "zeros" and features(profile.spec_version).string_format != "nul-terminated" and descr:
             place = len(descr) // 2
             descr = descr[:place] + b"\x00" + descr[place + 1 :]
@@ -496,12 +537,12 @@ class Driver:
         spec = self._made.spec(var_id, producer, each.repetitions, descr, creation, min(each.timeout, longest))
         return self._made.create(spec, seqno, value)
 
-    def _report(self, number: int, seqno: int, *, earlier: bool) -> ExtendedSafetyData:
-        self._mark += 1
+    def _report(self, number: int, each: Report) -> ExtendedSafetyData:
+        data = self._safety_data(number if number != OWN else ZERO - 1, each.data)
         names = self.executor.names
-        stamp = names.creation(0 if earlier else 1 + self._mark % 7)
+        stamp = names.creation(0 if each.earlier else 1 + self._mark % 7)
         node_id = self.executor.own_id if number == OWN else names.neighbour(number)[0]
-        return self._made.report(node_id, stamp, seqno, self._safety_data(self._mark))
+        return self._made.report(node_id, stamp, each.seqno, data)
 
     def _event(self, method: str, params: dict[str, Any]) -> str:
         """Return the name of a service; for a payload also how it differs from the one before."""
@@ -551,7 +592,10 @@ def _about(step: Beacon) -> str:
     return "".join(f", {each}" for each in notes if each)
 
 
-def _letters(size: int) -> str:
+def _letters(size: int, *, wide: bool = False) -> str:
+    """Return a text of ``size`` octets; ``wide``: of as few characters as possible."""
+    if wide:
+        return "\N{GREEK SMALL LETTER ALPHA}" * (size // 2) + "a" * (size % 2)
     return ("abcdefghijklmnopqrstuvwxyz" * (size // 26 + 1))[:size]
 
 

@@ -13,7 +13,6 @@ from typing import Any, ClassVar, Final, NamedTuple, cast, get_args
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 from hypothesis import strategies as st
-from hypothesis import target
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from dcp_conformance.errors import NeverAnsweredError, NoAnswerError
@@ -24,6 +23,9 @@ from .driver import Counterexample, Driver
 from .executor import TWIN, Executor
 from .steps import (
     AGAIN,
+    DATA,
+    ENDS,
+    EPOCH,
     FAULTS,
     FILL,
     GROUP,
@@ -32,6 +34,7 @@ from .steps import (
     Beacon,
     Call,
     Client,
+    Data,
     Fault,
     RecordKind,
     Records,
@@ -52,69 +55,37 @@ PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
 VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
 NEIGHBOURS: Final = st.sampled_from((0, 0, 0, 0, 0, 0, 1, 1, 2, 2, TWIN, TWIN, GROUP, ZERO))
 #: Beacon periods of a wait.
-PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
+PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 1.0, 2.5, 5.0, 8.0, 12.0, 5.0, 0.4, 1.0, 25.0, 40.0, 130.0))
 #: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
-THEMES: Final[dict[str, tuple[str, ...]]] = {
-    "registrations": (
-        "renew",
-        "submit",
-        "register",
-        "submit",
-        "clear",
-        "switch_bp",
-        "wait",
-        "deregister",
-        "register_twice",
-    ),
-    "rivals": ("submit", "submit", "wait", "resize", "submit", "renew", "clear", "switch_bp"),
-    "inactivity": (
-        "switch_bp",
-        "submit",
-        "register",
-        "submit",
-        "clear",
-        "report",
-        "payload",
-        "records",
-        "renew",
-        "change_period",
-        "wait",
-    ),
-    "streams": ("stream", "submit", "wait", "renew", "stream", "clear"),
-    "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
-    "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
-    "parameters": (
-        "change_period",
-        "refuse",
-        "resize",
-        "refuse",
-        "change_network",
-        "change_neighbour_timeout",
-        "change_vardis",
-        "submit",
-        "register",
-        "create",
-        "report",
-        "wait",
-        "wait",
-        "records",
-    ),
-    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "submit_safety_data", "wait"),
-    "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
-    "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
-    "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
-    "limits": ("change_vardis", "create", "update", "records", "wait", "shorten", "change_vardis"),
-    "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
-    "variable": ("records", "records", "records", "records", "create", "update", "delete", "wait"),
-    "own-variable": ("create", "update", "update", "delete", "wait", "wait", "records"),
-    "everything": (),
-}
-#: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
+THEMES: Final[dict[str, tuple[str, ...]]] = {theme: tuple(actions.split()) for theme, actions in {
+    "registrations": "renew submit register submit clear switch_bp wait deregister register_twice payload repeat",
+    "rivals": "submit submit wait resize submit renew clear switch_bp repeat",
+    "inactivity": "switch_bp submit register submit clear report payload records renew change_period wait",
+    "streams": "stream submit wait renew stream clear",
+    "sizes": "resize submit register submit wait renew switch_bp",
+    "reception": "payload payload register payload records report change_network deregister wait repeat",
+    "parameters": "change_period refuse resize refuse change_network change_neighbour_timeout change_vardis "
+                  "submit register create report wait wait records",
+    "neighbours": "report report age report change_neighbour_timeout age submit_safety_data wait repeat",
+    "reports": "submit_safety_data submit_safety_data wait report repeat switch_bp submit",
+    "services": "create update delete create wait records switch_vardis outlast repeat",
+    "dissemination": "create records records delete wait outlast repeat",
+    "timeouts": "create outlast records outlast wait update outlast repeat",
+    "limits": "change_vardis create update records wait shorten change_vardis",
+    "crowds": "crowd narrow crowd wait create crowd change_vardis",
+    "variable": "records records records records create update delete wait repeat",
+    "own-variable": "create update update delete wait wait records repeat",
+    "three protocols": "report records age create payload wait submit_safety_data",
+    # A few of all.
+    "everything": "",
+}.items()}  # fmt: skip
 _ONE: Final = ("variable", "own-variable")
-_CHOSEN: Final = (
-    *THEMES, *_ONE, *("variable",) * 4,
-    *("registrations", "sizes", "rivals", "inactivity", "reception", "neighbours") * 2,
-)  # fmt: skip
+_OFTEN: Final = {
+    "variable": 8, "own-variable": 4, "dissemination": 2, "timeouts": 4, "limits": 2, "neighbours": 7, "everything": 8,
+    "registrations": 3, "rivals": 3, "inactivity": 4, "sizes": 3, "reception": 5, "parameters": 2,
+}  # fmt: skip
+#: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
+_CHOSEN: Final = tuple(theme for theme in THEMES for _ in range(_OFTEN.get(theme, 1)))
 #: How a sequence about one variable begins: by whom it was created, whether it was deleted, and whether time passed.
 _BEGINNINGS: Final = tuple(
     (creator, deleted, later) for creator in ("", "node", "neighbour") for deleted in (False, True)
@@ -122,14 +93,15 @@ _BEGINNINGS: Final = tuple(
 )  # fmt: skip
 _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
 REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
-    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above", "large")),
+    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above", "large", 20, (1 << 16) + 20)),
     "mode": st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
     "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 1, 2, 3, 4, 300, 256, 0)),
     "several": st.booleans(),
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 #: Faults and unusual traits of a beacon.
-_SHAPES: Final = st.sampled_from(("",) * 24 + tuple(FAULTS) + tuple(each for each in get_args(Trait) if each))
+_UNUSUAL: Final = ("",) * 24 + tuple(FAULTS) + tuple(each for each in get_args(Trait) if each not in ("", *ENDS))
+_SHAPES: Final = st.sampled_from(_UNUSUAL)
 #: Parameters with values that no reading allows.
 _INVALID: Final = st.sampled_from((
     ("BP", "BPPAR_BEACON_PERIOD", 0), ("BP", "BPPAR_BEACON_PERIOD", -100), ("BP", "BPPAR_MAXIMUM_PACKET_SIZE", 0),
@@ -140,6 +112,7 @@ _INVALID: Final = st.sampled_from((
 ))  # fmt: skip
 #: Octets of a value or payload: new ones, those before, or all the same.
 _OCTETS: Final = st.sampled_from(("",) * 9 + ("again",) * 3 + ("zeros", "ones"))
+_DATA: Final = st.sampled_from((*get_args(Data), "", "", ""))
 _AGAIN: Final = st.sampled_from((False, False, False, True))
 _TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 #: Records by what they say compared with what the node holds; more frequent ones several times.
@@ -147,6 +120,7 @@ RECORDS: Final = (
     "create: later", "create: later", "create: later", "create: same", "create: earlier", "create: own",
     "create: no value", "create: value too long", "create: no description", "create: description too long",
     "create: repCnt 0", "create: repCnt too large", "create: largest", "create: group", "create: zero", "create: other",
+    "create: at 0",
     "delete", "delete",
     "update: newer", "update: newer", "update: older", "update: equal", "update: opposite", "update: no value",
     "update: value too long", "update: largest", "summary: newer", "summary: older", "summary: equal",
@@ -212,6 +186,9 @@ class NodeMachine(RuleBasedStateMachine):
         self._version = self.executor.codec.profile.spec_version
         self.title = ""
         """The theme of the sequence."""
+        self._drawn: dict[str, dict[str, Any]] = {}
+        """The arguments of each action when they were drawn last."""
+        self._probes = False
         self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
 
@@ -219,25 +196,34 @@ class NodeMachine(RuleBasedStateMachine):
         theme=st.sampled_from(_CHOSEN),
         beginning=st.sampled_from(_BEGINNINGS),
         registration=st.fixed_dictionaries(REGISTRATION),
+        few=st.lists(st.integers(0, 99), min_size=3, max_size=6),
+        probes=st.booleans(),
     )
-    def about(self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any]) -> None:
-        """Choose what the sequence is about, and begin."""
+    def about(
+        self, theme: str, beginning: tuple[str, bool, bool], registration: dict[str, Any], few: list[int], probes: bool
+    ) -> None:
+        """Choose what the sequence is about, and begin. ``few``: actions; ``probes``: whether it ends with probes."""
+        self._probes = probes
         theme = self.themes[_CHOSEN.index(theme) % len(self.themes)]
         self.title = theme
-        self.theme = THEMES[theme] or tuple(ACTIONS)
+        self.theme = THEMES[theme] or tuple(tuple(ACTIONS)[each % len(ACTIONS)] for each in few)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
         elif theme == "rivals" and self.has("BP-RegisterProtocol"):
             # Payloads of which only one fits into a beacon.
             for mode in (registration["mode"], QueueingMode.QUEUE_DROPTAIL):
                 self.register(**registration | {"size": "large", "mode": mode, "entries": 3})
+        elif theme == "streams" and self.has("BP-RegisterProtocol") and self.executor.timing.whole:
+            # More payloads than numPayloads can count.
+            self.register(**registration | {"size": 1, "entries": 300, "several": True})
+            self.take(Call("BP-TransmitPayload", {"protId": 0, "payload": 1}, 300))
         elif "register" in self.theme and self.has("BP-RegisterProtocol"):
             self.register(**registration)
 
     def _begin(self, creator: str, deleted: bool, later: bool) -> None:
         """Bring the variable of the sequence into a state."""
         if creator == "node":
-            self.create(0, "", 1, 0)
+            self.create(0, "", 1, 0, "")
         elif creator:
             self.take(Beacon(0, (self._record("create: later", 0, 1, 1, 0),)))
         if deleted and creator == "node":
@@ -255,8 +241,10 @@ class NodeMachine(RuleBasedStateMachine):
     def act(self, data: st.DataObject) -> None:
         """Take one of the actions of the theme that can have an effect now."""
         possible = [name for name in self.theme if ACTIONS[name].possible(self)]
-        chosen = ACTIONS[data.draw(st.sampled_from(possible or ("wait",)))]
-        chosen.take(self, **data.draw(chosen.arguments))
+        name = data.draw(st.sampled_from(possible or ("wait",)))
+        if name not in self._drawn or not data.draw(_AGAIN):
+            self._drawn[name] = data.draw(ACTIONS[name].arguments)
+        ACTIONS[name].take(self, **self._drawn[name])
 
     def open(self) -> Executor:
         """Return an implementation in its initial state."""
@@ -283,10 +271,32 @@ class NodeMachine(RuleBasedStateMachine):
         self.executed["sequences"] += 1
         try:
             if self.counterexample is None and not self._lost:
+                if self._probes:
+                    self._probe()
                 self.driver.finish()
-                target(float(sum(1 / self.reached[pair] for pair in self.driver.pairs)), label="rare pairs")
         finally:
             self.close(self.executor)
+
+    def _probe(self) -> None:
+        """Take steps that show effects of earlier ones: services of each kind, and beacons to each client."""
+        driver = self.driver
+        for protocol, on in (("BP", driver.model.bp.active), ("VD", driver.model.vardis.active)):
+            if not on and self.can_switch(protocol):
+                self.take(Call(f"{protocol}-MGMT-Activate"))
+        if driver.model.values["BPPAR_MAXIMUM_PACKET_SIZE"] != driver.initial["BPPAR_MAXIMUM_PACKET_SIZE"]:
+            self.resize("initial")
+        for number, client in self.registrations().items():
+            self.take(Call("BP-TransmitPayload", {"protId": number, "payload": min(4, client.most)}))
+        if driver.protocols:
+            self.take(Beacon(2, tuple(Client(number, 4) for number in sorted(driver.protocols))))
+        if driver.model.srp.watched:
+            self.report(1, 0, "next", 1, False, 0, None, "", "")
+        if driver.model.vardis.mine and self.executor.hears_vardis:
+            self.records(2, 0, [("summary: older", 0, 1, 1, 0, ""), ("ask-create", 0, 1, 1, 0, "")], "")
+            if self._vardis:
+                self.update(0, 2, 1, "")
+            self.take(Wait(2))
+            self.records(2, 0, [("summary: newer", 0, 1, 1, 0, "")], "")
 
     # -- what there is ---------------------------------------------------------------------------------------
 
@@ -352,35 +362,27 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call("BP-DeregisterProtocol", {"protId": self._one_of(which)}))
 
     @action(
-        lambda self: self.registered,
-        which=WHICH,
+        lambda self: self.registered, which=WHICH,
         size=st.sampled_from(("usual", "most", "usual", "most", "above", "usual", "one", "empty", "half")),
-        times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
-        contents=_OCTETS,
-    )
+        times=st.sampled_from((1, "fill", 2, 1, "fill", 3)), contents=_OCTETS,
+    )  # fmt: skip
     def submit(self, which: int, size: str, times: int | str, contents: str) -> None:
         """Submit payloads."""
         number = self._one_of(which)
         client = self.registrations()[number]
         octets = {
-            "usual": min(4, client.most),
-            "most": client.most,
-            "above": client.most + 1,
-            "empty": 0,
-            "one": 1,
+            "usual": min(4, client.most), "most": client.most, "above": client.most + 1, "empty": 0, "one": 1,
             "half": client.most // 2 + 1,
-        }[size]
+        }[size]  # fmt: skip
         if times == "fill":
             times = client.entries + 1 if client.mode in _QUEUES else 2
         params = {"protId": number, "payload": octets} | _contents(contents)
         self.take(Call("BP-TransmitPayload", params, int(times)))
 
     @action(
-        lambda self: self.registered and self.executor.timing.whole,
-        which=WHICH,
-        count=st.sampled_from((12, 12, 30, 100)),
-        pause=st.sampled_from((0.4, 1.0, 0.4)),
-    )
+        lambda self: self.registered and self.executor.timing.whole, which=WHICH,
+        count=st.sampled_from((12, 12, 30, 100)), pause=st.sampled_from((0.4, 1.0, 0.4)),
+    )  # fmt: skip
     def stream(self, which: int, count: int, pause: float) -> None:
         """Submit payloads in succession, where time costs nothing."""
         number = self._one_of(which)
@@ -401,20 +403,34 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call(f"BP-MGMT-{'Deactivate' if on else 'Activate'}"))
 
     @action(
-        lambda self: self.has("BP-RegisterProtocol"),
-        sender=NEIGHBOURS,
-        number=PROTOCOLS,
-        size=st.sampled_from((4, 1, 20, 0)),
-        count=st.sampled_from((1, 1, 1, 1, 2, 140)),
-        octets=_OCTETS,
-        shape=_SHAPES,
-    )
-    def payload(self, sender: int, number: int, size: int, count: int, octets: str, shape: str) -> None:
-        """Send payloads to a client protocol, several times in faulty beacons."""
-        # An empty block does not hide the next one.
-        beside = (Client(number, 4),) if not size else ()
+        lambda self: self.has("BP-RegisterProtocol"), sender=NEIGHBOURS, number=PROTOCOLS,
+        size=st.sampled_from((4, 1, 20, 4, 0, "most", 900)), count=st.sampled_from((1, 1, 1, 1, 2, 140)),
+        octets=_OCTETS, before=st.lists(st.sampled_from((0, 1, 2, 3, 4, 5, "report", "record")), max_size=4),
+        shape=st.sampled_from((*_UNUSUAL, *ENDS)),
+    )  # fmt: skip
+    def payload(
+        self, sender: int, number: int, size: int | str, count: int, octets: str, before: list[int | str], shape: str
+    ) -> None:
+        """Send payloads to a client protocol, several times in faulty beacons. ``before``: other blocks."""
+        client = self.registrations().get(number)
+        most = int(size) if size != "most" else client.most if client is not None else 20
+        # As far as they fit.
+        most = min(most, 900 // count)
+        blocks = [] if shape in FAULTS else [self._block(each, plain=shape in ENDS) for each in before]
+        if shape in ENDS:
+            blocks.append(Client(number, 5))
+        blocks.append(Client(number, most, count, **_contents(octets)))
+        if not most:
+            # An empty block does not hide the next one.
+            blocks.append(Client(number, 4))
         for _ in range(4 if shape in FAULTS else 1):
-            self.take(_beacon(sender, (Client(number, size, count, **_contents(octets)), *beside), shape))
+            self.take(_beacon(sender, tuple(blocks), shape))
+
+    def _block(self, what: int | str, *, plain: bool) -> Records | Report | Client:
+        """Return a block for a protocol of this number, or of SRP or VarDis unless it must be ``plain``."""
+        if isinstance(what, int) or plain or (what == "record" and not self.executor.hears_vardis):
+            return Client(what if isinstance(what, int) else 1, 4)
+        return Report(0, 5) if what == "report" else self._record("create: later", 0, 1, 1, 0)
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -470,7 +486,7 @@ class NodeMachine(RuleBasedStateMachine):
             ("SUMMARIES", "REPETITIONS", "VALUE_LENGTH", "DESCRIPTION_LENGTH", "PAYLOAD_SIZE", "SCRUB")
         ),
         value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)),
-    )
+    )  # fmt: skip
     def change_vardis(self, what: str, value: int | str) -> None:
         """Set a parameter of VarDis."""
         model = self.driver.model
@@ -480,8 +496,7 @@ class NodeMachine(RuleBasedStateMachine):
         number = int(self.driver.initial[name] if value == "initial" else value)
         if what == "PAYLOAD_SIZE":
             # A node may refuse one that does not fit into a packet, or set a smaller one (X39).
-            largest = int(model.values["BPPAR_MAXIMUM_PACKET_SIZE"]) - model.headers
-            number = min(max(number, model.least_payload), self.driver.initial[name], largest)
+            number = min(max(number, model.least_payload), self.driver.initial[name], model.free)
         elif what == "SCRUB":
             number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
         number = model.bounded(name, number)
@@ -502,40 +517,40 @@ class NodeMachine(RuleBasedStateMachine):
         self._set("VD", "VARDISPAR_MAX_PAYLOAD_SIZE", self.driver.model.least_payload)
 
     def _set(self, protocol: str, name: str, value: Any) -> None:
-        self.take(Call(f"{protocol}-SetParameter", {"name": name, "value": value}))
+        if name != "VARDISPAR_MAX_PAYLOAD_SIZE" or self.driver.model.least_payload <= self.driver.model.free:
+            self.take(Call(f"{protocol}-SetParameter", {"name": name, "value": value}))
 
     # -- SRP -------------------------------------------------------------------------------------------------
 
     @action(
-        lambda self: self.has("SRP-UpdateSafetyData"),
-        times=st.sampled_from((1, 2)),
-        pause=st.sampled_from((0, 0.4, 2)),
-        again=_AGAIN,
-    )
-    def submit_safety_data(self, times: int, pause: float, again: bool) -> None:
+        lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)),
+        pause=st.sampled_from((0, 0.4, 2)), data=_DATA,
+    )  # fmt: skip
+    def submit_safety_data(self, times: int, pause: float, data: Data) -> None:
         """Submit safety data."""
         for _ in range(times):
             if pause:
                 self.take(Wait(pause))
-            self.take(Call("SRP-UpdateSafetyData", {AGAIN: True} if again else {}))
+            self.take(Call("SRP-UpdateSafetyData", {DATA: data} if data else {}))
 
     @action(
-        lambda self: self.has("SRP-NeighbourTable"),
-        sender=NEIGHBOURS,
+        lambda self: self.has("SRP-NeighbourTable"), sender=NEIGHBOURS,
         neighbour=st.sampled_from((0, 0, 0, 0, 1, 1, 2, 2, 3, 3, OWN, OWN, GROUP, ZERO)),
-        seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
+        seqno=st.sampled_from(("next", 5, "next", "same", 6, 0, 20_000, "next", (1 << 32) - 1, "before", 70_000)),
         count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
-        earlier=st.sampled_from((False, False, False, True)),
-        excess=st.sampled_from((0,) * 14 + (1, -1)),
-        beside=st.sampled_from((None,) * 8 + (0, 1, 2)),
-        shape=_SHAPES,
-    )
+        earlier=_AGAIN, excess=st.sampled_from((0,) * 14 + (1, -1, -4, -12, 4, 42)),
+        beside=st.sampled_from((None,) * 8 + (0, 1, 2)), shape=_SHAPES, data=_DATA,
+    )  # fmt: skip
     def report(
-        self, sender: int, neighbour: int, seqno: int, count: int, earlier: bool, excess: int, beside: int | None,
-        shape: str,
+        self, sender: int, neighbour: int, seqno: int | str, count: int, earlier: bool, excess: int,
+        beside: int | None, shape: str, data: Data,
     ) -> None:  # fmt: skip
-        """Send state reports, sometimes two in a beacon."""
-        reports = [Report(neighbour, seqno, 1 if neighbour < 0 else count, earlier, excess)]
+        """Send state reports, sometimes two in a beacon. ``seqno``: a number, or how it follows the one before."""
+        if isinstance(seqno, str):
+            known = self.driver.model.srp.table.get(self.executor.names.neighbour(max(neighbour, 0))[0])
+            before = known[-1].seqno if known else 4
+            seqno = max(before + {"next": 1, "same": 0, "before": -1}[seqno], 0) % (1 << 32)
+        reports = [Report(neighbour, seqno, 1 if neighbour < 0 else count, earlier, excess, data)]
         if beside is not None and count == 1 and beside != neighbour:
             reports.append(Report(beside, seqno))
         # A record that is discarded must not prolong an entry, however often it comes.
@@ -547,13 +562,11 @@ class NodeMachine(RuleBasedStateMachine):
     # -- VarDis ----------------------------------------------------------------------------------------------
 
     @action(
-        lambda self: self._vardis,
-        number=VARIABLES,
+        lambda self: self._vardis, number=VARIABLES,
         what=st.sampled_from(("",) * 6 + (*_FLAWS, "two flaws", "repCnt 0", "repCnt too large")),
-        repetitions=st.sampled_from((1, 1, "most", "most")),
-        timeout=_TIMEOUTS,
-    )
-    def create(self, number: int, what: str, repetitions: int | str, timeout: int) -> None:
+        repetitions=st.sampled_from((1, 1, "most", "most")), timeout=_TIMEOUTS, octets=_OCTETS,
+    )  # fmt: skip
+    def create(self, number: int, what: str, repetitions: int | str, timeout: int, octets: str) -> None:
         """Create a variable of the node."""
         size, descr = ("above", "above") if what == "two flaws" else _FLAWS.get(what, (2, 3))
         count = 0 if what == "repCnt 0" else "above" if what == "repCnt too large" else repetitions
@@ -565,15 +578,12 @@ class NodeMachine(RuleBasedStateMachine):
         }
         if self._version >= SpecVersion.V2_0:
             params["timeout"] = timeout
-        self.take(Call("RTDB-Create", params))
+        self.take(Call("RTDB-Create", params | _contents(octets)))
 
     @action(
-        lambda self: self._vardis,
-        number=VARIABLES,
-        size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
-        times=st.sampled_from((1,) * 12 + (2,) * 6 + (260,)),
-        octets=_OCTETS,
-    )
+        lambda self: self._vardis, number=VARIABLES, size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
+        times=st.sampled_from((1,) * 12 + (2,) * 6 + (260,)), octets=_OCTETS,
+    )  # fmt: skip
     def update(self, number: int, size: int | str, times: int, octets: str) -> None:
         """Update a variable."""
         params = {"varId": self._variable(number), "value": self._limit(size, "VALUE_LENGTH")}
@@ -592,23 +602,14 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call(f"VD-MGMT-{'Deactivate' if on else 'Activate'}"))
 
     @action(
-        lambda self: self.executor.hears_vardis,
-        sender=NEIGHBOURS,
-        number=VARIABLES,
-        events=st.lists(
-            st.tuples(
-                st.sampled_from(RECORDS),
-                st.sampled_from((0, 0, 0, 0, 0, 0, 1, 2)),
-                st.sampled_from((1, 1, 1, 2, "quarter", "most")),
-                st.sampled_from((1, 1, "most", "most")),
-                _TIMEOUTS,
-                _OCTETS,
-            ),
-            min_size=1,
-            max_size=3,
-        ),
+        lambda self: self.executor.hears_vardis, sender=NEIGHBOURS, number=VARIABLES,
+        events=st.lists(st.tuples(
+            st.sampled_from(RECORDS), st.sampled_from((0, 0, 0, 0, 0, 0, 1, 2)),
+            st.sampled_from((1, 1, 1, 2, "quarter", "most")), st.sampled_from((1, 1, "most", "most")), _TIMEOUTS,
+            _OCTETS,
+        ), min_size=1, max_size=3),
         shape=_SHAPES,
-    )
+    )  # fmt: skip
     def records(self, sender: int, number: int, events: list[Any], shape: str) -> None:
         """Send instructions, mostly about one variable, each with at most one flaw."""
         blocks = [
@@ -635,7 +636,7 @@ class NodeMachine(RuleBasedStateMachine):
         if kind == "create":
             latest = NO_CREATION if known is None else known.latest
             later = next((each for each in _CREATIONS if names.creation(each) > latest), _CREATIONS[-1])
-            creation = max(later - {"same": 1, "earlier": 2}.get(what, 0), 0)
+            creation = EPOCH if what == "at 0" else max(later - {"same": 1, "earlier": 2}.get(what, 0), 0)
             seqno = {1: 0, 2: 1}.get(distance, circle - 1)
         else:
             seqno += {"newer": distance, "older": -distance, "opposite": circle // 2, "equal": 0}.get(what, distance)
@@ -651,12 +652,9 @@ class NodeMachine(RuleBasedStateMachine):
 
     @action(
         lambda self: self.executor.hears_vardis and self.executor.crowds > 32,
-        kind=st.sampled_from(("create", "summary", "delete", "update", "ask-create")),
-        count=_CROWDS,
-        repetitions=st.sampled_from((1, "most")),
-        seqno=st.sampled_from((0, 1)),
-        creation=st.sampled_from((1, 2)),
-    )
+        kind=st.sampled_from(("create", "summary", "delete", "update", "ask-create")), count=_CROWDS,
+        repetitions=st.sampled_from((1, "most")), seqno=st.sampled_from((0, 1)), creation=st.sampled_from((1, 2)),
+    )  # fmt: skip
     def crowd(self, kind: Any, count: int, repetitions: int | str, seqno: int, creation: int) -> None:
         """Send instructions about many variables."""
         count = min(count, self.executor.crowds - 8)
@@ -687,6 +685,20 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Wait(round(duration / self.executor.timing.period + 1, 1)))
 
     # -- time ------------------------------------------------------------------------------------------------
+
+    @action(
+        lambda self: any(not isinstance(each, Wait) for each in self.driver.steps[-6:]),
+        back=st.sampled_from((0, 0, 1, 2)), times=st.sampled_from((1, 2, 1, 12)),
+        pause=st.sampled_from((0, 1, 0.4, 4)),
+    )  # fmt: skip
+    def repeat(self, back: int, times: int, pause: float) -> None:
+        """Take one of the last steps again, with pauses: also for longer than a timeout."""
+        last = [each for each in self.driver.steps[-6:] if not isinstance(each, Wait)][::-1]
+        step = last[back % len(last)]
+        for _ in range(times):
+            self.take(step)
+            if pause:
+                self.take(Wait(pause))
 
     @action(lambda _: True, periods=PERIODS)
     def wait(self, periods: float) -> None:

@@ -11,7 +11,7 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer
 
 from .executor import TWIN, Event, special, twin
-from .steps import GROUP
+from .steps import EPOCH, GROUP
 
 #: Longest duration of a call in ns with which the state is queried after each step.
 _QUICK: Final = 20 * MS
@@ -65,6 +65,8 @@ class BenchNames:
 
     def creation(self, number: int) -> int:
         """Return a creation time in ticks."""
+        if number == EPOCH:
+            return 0
         found = self._base + max(1, self._unit // 1000) * number
         if number >= 8:
             found += _HOUR * self._unit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Final
 
 import msgspec
 from hypothesis import HealthCheck, Phase, Verbosity, settings
@@ -14,6 +15,9 @@ from hypothesis.stateful import get_state_machine_test
 from .driver import Counterexample
 from .executor import Executor
 from .machine import NodeMachine
+
+#: Sequences of one run of Hypothesis. From the tenth on, it varies the ones before instead of drawing new ones.
+_INDEPENDENT: Final = 9
 
 
 class Found(msgspec.Struct):
@@ -47,8 +51,6 @@ def search(
     done: Counter[str] = Counter()
 
     class Machine(machine):  # type: ignore[misc, valid-type]
-        _hypothesis_internal_use_seed = seed
-
         def open(self) -> Executor:
             return make() if make is not None else super().open()
 
@@ -56,7 +58,7 @@ def search(
     Machine.__name__ = Machine.__qualname__ = machine.__name__
     phases = [Phase.explicit, Phase.reuse, Phase.generate, *([Phase.shrink] if shrink else [])]
     chosen = settings(
-        max_examples=sequences,
+        max_examples=min(sequences, _INDEPENDENT),
         stateful_step_count=steps,
         deadline=None,
         database=DirectoryBasedExampleDatabase(database) if database else None,
@@ -69,10 +71,14 @@ def search(
     )
     found: Counterexample | None = None
     flaky = False
-    try:
-        get_state_machine_test(Machine, settings=chosen)()
-    except Counterexample as error:
-        found = error
-    except Flaky:
-        flaky = True
+    runs = 0
+    while found is None and not flaky and done["sequences"] < sequences:
+        Machine._hypothesis_internal_use_seed = seed * 1_000_003 + runs
+        runs += 1
+        try:
+            get_state_machine_test(Machine, settings=chosen)()
+        except Counterexample as error:
+            found = error
+        except Flaky:
+            flaky = True
     return Found(found, counts, done["sequences"], done["steps"], flaky)

@@ -18,18 +18,32 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
     "own-sender": ("BP-RX-06",),
     "no-length": ("BP-RX-03",), "no-payloads": ("BP-RX-04",),
 }  # fmt: skip
-Trait = Literal["", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far"]
-"""Unusual traits of beacons that a receiver must process like any other (BP-RX-10, BP-RX-14)."""
+Trait = Literal[
+    "", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far",
+    "last block too long", "last block after the end", "last block after the end, counted",
+]  # fmt: skip
+"""Unusual traits of beacons that a receiver must process like any other (BP-RX-10, BP-RX-14), or up to their ends."""
+#: Traits of the end of a beacon of payloads for clients, and the requirement by which its last block is not delivered.
+ENDS: Final[Mapping[Trait, tuple[str, ...]]] = {
+    "last block too long": ("BP-RX-09",), "last block after the end": ("BP-RX-14",),
+    "last block after the end, counted": ("BP-RX-14",),
+}  # fmt: skip
+Data = Literal["", "again", "near", "zeros", "far"]
+"""Safety data: new ones, those before, nearly those before, all 0, or large and negative ones."""
 Fill = Literal["", "zeros", "ones"]
 """Octets of a value: all 0x00 (also one in the middle of the description), or all 0xFF."""
 #: Parameters of a call: its octets are those of the call or payload before, or all the same.
 AGAIN: Final = "again"
 FILL: Final = "fill"
+#: Parameter of SRP-UpdateSafetyData: its data.
+DATA: Final = "data"
 #: The producer of a record that is the node itself.
 OWN: Final = -1
 #: Neighbours whose identifier is that of a group of addresses, and all zero.
 GROUP: Final = -2
 ZERO: Final = -3
+#: The creation time 0.
+EPOCH: Final = -1
 
 
 class Call(msgspec.Struct, frozen=True, omit_defaults=True, tag="call"):
@@ -71,6 +85,7 @@ class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
     """True to send a tStamp that is earlier than in all other reports."""
     excess: int = 0
     """Octets that the payload has more than a record; negative: fewer."""
+    data: Data = ""
 
 
 class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
@@ -128,6 +143,7 @@ def _block(block: Records | Report | Client) -> str:
         last = "" if block.count == 1 else f" to {block.neighbour + block.count - 1}"
         more = ", with an earlier tStamp" if block.earlier else ""
         more += f", {block.excess:+} octets" if block.excess else ""
+        more += f", safety data: {block.data}" if block.data else ""
         return f"report of {_node(block.neighbour)}{last}, seqno {block.seqno}{more}"
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"

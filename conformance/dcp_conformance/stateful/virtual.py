@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+import msgspec
+
 from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.config import NodeConfig
 
 from .executor import TWIN, Event, special, twin
-from .steps import OWN
+from .steps import EPOCH, OWN
 
 #: Identifiers in which counters, signs and table indices are likely to fail, then the others.
 _EDGES: Final = (1, 0, 127, 128, 255, 2)
+#: Identifiers that are equal in one octet, or in the same octets in another order.
+_PROTOCOLS: Final = (0x4001, 0x0101, 0xFFFF, 0x0003, 0x0140, 0x4002)
 _HOUR_NS: Final = 3_600_000_000_000
 
 
@@ -36,7 +40,7 @@ class VirtualNames:
 
     def protocol(self, number: int) -> int:
         """Return a protocol identifier."""
-        return (0x4001, 0x0101, 0xFFFF, 0x0003)[number % 4]
+        return _PROTOCOLS[number % len(_PROTOCOLS)]
 
     def variable(self, number: int) -> int:
         """Return an identifier of a variable."""
@@ -51,6 +55,8 @@ class VirtualNames:
 
     def creation(self, number: int) -> int:
         """Return a creation time in ticks."""
+        if number == EPOCH:
+            return 0
         ahead = _HOUR_NS * self._unit // 1_000_000_000 if number >= 8 else 0
         return self._base + ahead + max(1, self._unit // 1000) * number
 
@@ -91,7 +97,7 @@ class VirtualExecutor:
         self.codec = config.codec
         period = config.bp.beacon_period_ms * MS
         self.timing = timing or Timing(period=period, patience=12 * period, clock=5 * MS, whole=True)
-        self.readings = readings or {}
+        self.readings = msgspec.to_builtins(config.selected_readings) if readings is None else readings
         self._sut = sut or InProcess(config, seed=seed, make=make)
         self._upper = upper or VirtualUpperTester(self._sut)
         self.methods = self._upper.methods
