@@ -5,6 +5,8 @@ To prove that a record was ignored, it must not enter the table, and a record of
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP
@@ -92,6 +94,70 @@ def replaced(bench: Bench) -> None:
     check_later(bench, "a later receptionTime", bench.period, measure, "SRP-RX-03")
     same = neighbours(bench).get(peer.node_id, [])
     bench.answered(len(same), 1, "entries of the node", "SRP-NT-01")
+
+
+def _extremes(kind: str) -> tuple[float, float]:
+    """Return a low and a high value of a field that its type can hold exactly."""
+    if kind.startswith("f"):
+        return -(2.0**100), 2.0**100
+    bits = int(kind[1:])
+    return (0, (1 << bits) - 1) if kind.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
+
+
+def _unusual(bench: Bench) -> Iterator[tuple[str, dict[str, Any], int | None]]:
+    """Yield safety data in the order of the records, with a name, and the tStamp of the record unless it is usual."""
+    usual, stamp = _small(bench, 1), bench.profile.types.timestamp
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+
+    def each(change: Callable[[Any, str], Any]) -> dict[str, Any]:
+        return {name: change(value, kinds[name]) for name, value in usual.items()}
+
+    yield "usual data", usual, None
+    yield "slightly different data", each(lambda value, kind: value + (2**-10 if kind.startswith("f") else 1)), None
+    yield "the same data", each(lambda value, kind: value + (2**-10 if kind.startswith("f") else 1)), None
+    yield "data of a far position", each(lambda value, kind: value + 2**17 if kind[0] == "f" else value), None
+    yield "data of zeros", each(lambda _value, _kind: 0), None
+    yield "negative data", each(lambda value, kind: value if kind.startswith("u") else -value), None
+    yield "very low values", each(lambda _value, kind: _extremes(kind)[0]), None
+    yield "very high values", each(lambda _value, kind: _extremes(kind)[1]), None
+    yield "usual data with tStamp 0", usual, 0
+    yield (
+        "data of zeros with the greatest tStamp",
+        each(lambda _value, _kind: 0),
+        (1 << (8 * stamp.width - stamp.signed)) - 1,
+    )
+    yield "usual data", usual, None
+
+
+@case(
+    "TC_SRP_RX_BV_13",
+    "A record replaces the stored one, whatever its values and however they differ from the stored ones",
+    requirements="SRP-RX-03",
+    stimulus=(
+        "records of a neighbour in succession: usual data, slightly different ones, the same, those of a far position, "
+        "zeros, negative, very low and very high values, tStamp 0, the greatest tStamp, usual data"
+    ),
+    expect="after each record an entry with its values",
+    window=8,
+    needs=_TABLE,
+)
+def any_values(bench: Bench) -> None:
+    peer = bench.peer()
+    for number, (what, values, stamp) in enumerate(_unusual(bench)):
+        for _ in range(2):
+            # A beacon may be lost.
+            peer.send(bench.records.report(peer.node_id, number, t_stamp=stamp, **values))
+            entry = until_neighbour(bench, peer.node_id, number)
+            if entry is not None:
+                break
+        stored = bench.required(entry, f"an entry with {what}").get("sData", {})
+        wrong = {name: stored.get(name) for name, value in values.items() if not _near(stored.get(name), value)}
+        bench.none(wrong, f"an entry with {what}: {values}", seen=f"{wrong}")
+
+
+def _near(shown: object, value: float) -> bool:
+    """Return whether a value is shown that differs at most in its sixth digit, which an upper tester may round."""
+    return isinstance(shown, int | float) and math.isclose(shown, value, rel_tol=1e-5)
 
 
 @case(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.bp.receive import Blocks
-from dcp_selftest.mutants.family import after, before, instead, skips, then
+from dcp_selftest.mutants.family import after, around, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
@@ -140,9 +142,44 @@ instead(Blocks, Blocks.chosen)("thirty", "BP-RX-07", "processes at most 30 block
     lambda self, blocks: blocks[:30])  # fmt: skip
 skips(Receiver, Receiver._deliver)("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets",
     lambda self, block, sender: len(block.payload) > 900)  # fmt: skip
+before(BeaconingProtocol, BeaconingProtocol.deactivate)("once-outdated", "BP-MGT-04 BP-QM-04",
+    "clears the buffers of mode ONCE when it is deactivated",
+    lambda self: [
+        client.queue.clear() for client in _others(self._clients)
+        if client.queue is not None and client.registration.queue_mode is QueueingMode.ONCE])  # fmt: skip
 before(BeaconingProtocol, BeaconingProtocol.activate)("paused-empties", "BP-MGT-05 BP-QM-03",
     "clears queues when it is activated",
     lambda self, now: _empty(self._clients))  # fmt: skip
+
+
+@mutant("deaf", "BP-MGT-04 BP-REG-06", "delivers nothing to clients that were registered while it was inactive")
+class Deaf(BeaconingProtocol):
+    def register(self, prot_id: int, *args: Any, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *args, now=now, wall=wall)
+        deaf: set[int] = self.__dict__.setdefault("deaf", set())
+        if confirm.status is BPStatus.OK:
+            (deaf.discard if self._active else deaf.add)(prot_id)
+        deliver = self._receiver._deliver
+        if not self._active:
+            self._receiver._deliver = (  # type: ignore[method-assign]
+                lambda block, sender: None if block.protocol_id in deaf else deliver(block, sender))  # fmt: skip
+        return confirm
+
+
+@mutant("given-up", "BP-HDR-09 BP-HDR-08", "uses a sequence number for a beacon into which no waiting payload fits")
+class GivenUp(BeaconingProtocol):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        due, before = self._active and now >= self._schedule.due, self._seqno
+        waiting = any(len(client.queue or ()) for client in self._clients)
+        super().handle_timeout(now, wall)
+        if due and waiting and self._seqno == before:
+            self._seqno += 1
+
+
+around(BeaconingProtocol, BeaconingProtocol.register)("size-of-16-bits", "BP-REG-04",
+    "checks only the low 16 bits of maxPayloadSize",
+    lambda self, register, prot_id, name, size, *rest, now, wall: (
+        register(prot_id, name, size & 0xFFFF, *rest, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("unknown-empties-all", "BP-CLR-01 SRP-SRV-04", "clears the buffer of SRP for an unknown protocol")

@@ -11,6 +11,7 @@ from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import after, around, attributes, crashes, instead
 from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import NO_LENGTH
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
 from dcp_stack.effects import PayloadReceived
@@ -55,6 +56,10 @@ repaired("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame"
         octets if self.number(octets, "length") else self.put(octets, "length", len(octets) - self.header_size)))
 repaired("processed", "BP-RX-04", "accepts beacons with numPayloads 0",
     lambda self, octets: octets if self.number(octets, "numPayloads") else self.put(octets, "numPayloads", 1))
+repaired("by-count", "BP-RX-14", "parses blocks after the end that length gives if numPayloads counts more than one",
+    lambda self, octets: (
+        self.put(octets, "length", len(octets) - self.header_size)
+        if self.number(octets, "numPayloads") > 1 else octets), unseen=NO_LENGTH)
 around_for_this_node = around(Receiver, Receiver._for_this_node)
 around_for_this_node("any", "BP-RX-05", "accepts beacons of any network",
     lambda self, proceed, header: proceed(BPHeader(header.sender_id, header.seqno, self._parameters.network_id)))
@@ -242,6 +247,14 @@ payload("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is
 payload("limited", "BP-RXP-01", "delivers at most 255 octets of a payload", lambda self, payload: payload[:255])
 payload("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets",
     lambda self, payload: payload + bytes(-len(payload) % 4))  # fmt: skip
+
+
+@mutant("wildcard", "BP-RXP-03", "delivers the payloads of all protocols to a client registered as 0xFFFF")
+class Wildcard(Receiver):
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        super()._deliver(block, sender)
+        if block.protocol_id != 0xFFFF and 0xFFFF in self._clients:
+            self._emit(PayloadReceived(0xFFFF, block.payload, sender))
 
 
 @mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")

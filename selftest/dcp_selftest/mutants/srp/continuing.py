@@ -14,7 +14,7 @@ from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block
 from dcp_stack.srp.entity import StateReporting
-from dcp_stack.srp.neighbour_table import NeighbourTable
+from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
 
 @mutant("again-when-alone", "SRP-SEQ-01", "numbers its records from 0 again when the last neighbour has expired")
@@ -78,6 +78,21 @@ class FirstOfBeacon(Receiver):
         self.reports += block.protocol_id == BP_PROTID_SRP
         if block.protocol_id != BP_PROTID_SRP or self.reports == 1:
             super()._deliver(block, sender)
+
+
+@mutant("remembered", "SRP-NT-01 SRP-RUN-02", "still finds the entry that it has found last after it was removed")
+class Remembered(NeighbourTable):
+    def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
+        found: NeighbourTableEntry | None = self.__dict__.get("found")
+        entry = super().lookup(node_id)
+        if entry is None and found is not None and found.node_id == node_id:
+            return found
+        self.found = entry
+        return entry
+
+    def clear(self) -> None:
+        self.found = None
+        super().clear()
 
 
 @mutant("last-ends", "SRP-RUN-01 SRP-RUN-02", "traverses its table no more once it has become empty by an expiry")

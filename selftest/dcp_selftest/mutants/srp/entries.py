@@ -95,6 +95,9 @@ removed("two-at-a-time", "SRP-RUN-02", "removes at most two entries in each trav
     lambda self, old, now, timeout: old[:2])
 removed("first-32", "SRP-RUN-02", "traverses only the first 32 entries",
     lambda self, old, now, timeout: [node_id for node_id in [*self._entries][:32] if node_id in old])
+removed("before-the-next", "SRP-RUN-02", "removes an entry at the last traversal before its timeout",
+    lambda self, old, now, timeout: [
+        entry.node_id for entry in self if now - entry.received_at >= timeout - timeout // 6 + 1])
 # fmt: on
 
 
@@ -121,6 +124,12 @@ keys("last-four", "SRP-RX-05 SRP-RX-03 DATA-04", "compares only the last four oc
     part=slice(-4, None))  # fmt: skip
 
 
+def _apart(report: ExtendedSafetyData, other: ExtendedSafetyData) -> float:
+    """Return the largest difference of a numeric field of the safety data."""
+    pairs = zip(report.s_data.as_dict().values(), other.s_data.as_dict().values(), strict=True)
+    return float(max(abs(one - another) for one, another in pairs if not isinstance(one, bytes)))
+
+
 class Admits(NeighbourTable):
     """Ignores some reports."""
 
@@ -138,6 +147,14 @@ class Admits(NeighbourTable):
 
 # fmt: off
 admits = instead(Admits, Admits.admits)
+admits("outlier", "SRP-RX-03", "ignores reports that are more than 1,000 m away from the stored one",
+    lambda self, report, memory, now: (
+        report.node_id not in self._entries or _apart(report, memory[report.node_id][0]) <= 1000))
+admits("noise", "SRP-RX-03", "ignores reports that differ from the stored one by less than half a metre",
+    lambda self, report, memory, now: (
+        report.node_id not in self._entries or not 0 < _apart(report, memory[report.node_id][0]) < 0.5))
+admits("no-stamp", "SRP-RX-03", "treats reports with the tStamp 0 as invalid",
+    lambda self, report, memory, now: report.t_stamp != 0)
 admits("once-gone", "SRP-RX-03", "ignores a neighbour for 5 s after it has removed its entry",
     lambda self, report, memory, now: report.node_id in self._entries or report.node_id not in memory
         or now - memory[report.node_id][1] > 5_000_000_000)

@@ -8,6 +8,7 @@ from dcp_codec.values import VarCreate
 from dcp_selftest.mutants.cells import Cells, everywhere
 from dcp_selftest.mutants.entries import on_entry
 from dcp_selftest.mutants.family import after, attributes, instead
+from dcp_selftest.mutants.unseen import NO_TIMES
 from dcp_stack.vardis.database import DBEntry
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Event
@@ -92,6 +93,11 @@ create_event("zero", "VD-PC-06", "accepts a VarCreate with a repetition count of
     lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
         if event is Event.RX_CREATE_BAD_REPCNT and not record.spec.rep_cnt else event), since=SpecVersion.V1_2)
+create_event("time-0", "VD-PC-01 VD-PC-09", "treats a VarCreate with creationTime 0 as invalid",
+    lambda self, event, record, entry: event if record.spec.creation_time else Event.RX_CREATE_NOT_LATER,
+    since=SpecVersion.V2_0, unseen=NO_TIMES)
+create_event("nobody", "VD-PC-07 DATA-04", "ignores a VarCreate whose producer has the identifier 0",
+    lambda self, event, record, entry: event if any(record.spec.prod_id) else Event.RX_CREATE_BAD_VALUE)
 create_event("most-refused", "VD-PC-06", "ignores a VarCreate with the maximum repetition count",
     lambda self, event, record, entry: (
         Event.RX_CREATE_BAD_REPCNT if record.spec.rep_cnt == self._parameters.max_repetitions else event))

@@ -13,6 +13,7 @@ from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NOT_REPLACED
 from dcp_stack.config import MS
 from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.database import Database, IdQueue
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
@@ -186,6 +187,16 @@ class FaultySenderIgnored(Vardis):
             faults[sender] = count, since = count + 1, now
         if count < 8 or now - since > 60_000 * MS:
             super().handle_payload(payload, now=now, wall=wall)
+
+
+@mutant("created-first", "VD-CMP-03 VD-CRE-12", "begins its summaries with the first variable again after RTDB-Create")
+class CreatedFirst(Vardis):
+    def create(self, *args: Any, **params: Any) -> Confirm:
+        confirm = super().create(*args, **params)
+        queue = self._database.summary_q
+        for var_id in [each for each in self._database.entries if each in queue]:
+            queue.rotate(var_id)
+        return confirm
 
 
 @mutant("own-by-suffix", "VD-PC-03 VD-PU-03 DATA-04",

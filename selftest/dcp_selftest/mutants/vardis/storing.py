@@ -9,7 +9,7 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import VarCreate, VarSpec, VarSumm, VarUpdate
 from dcp_selftest.mutants.entries import drop, on_entry
-from dcp_selftest.mutants.family import assign, attributes, instead
+from dcp_selftest.mutants.family import assign, attributes, instead, skips
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 from dcp_selftest.mutants.vardis.records import present
@@ -155,6 +155,9 @@ on_create("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once,
     lambda self, entry, before: assign(entry, count_create=1))
 on_create("not-summarised", "VD-PC-09", "does not summarise variables of other nodes",
     lambda self, entry, before: drop(self._database.summary_q, entry))
+skips(Receiver, Receiver._update)("same-value", "VD-PU-07", "ignores a VarUpdate with the stored value",
+    lambda self, record, offset, now, wall: (
+        (entry := self._database.lookup(record.var_id)) is not None and entry.value == record.value))
 on_update = on_entry(Receiver, Receiver._update)
 on_update("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them",
     lambda self, entry, before: drop(self._database.update_q, entry, when=entry.seqno != before.seqno, count_update=0))

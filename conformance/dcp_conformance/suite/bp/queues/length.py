@@ -11,6 +11,7 @@ from dcp_conformance.model.case import case
 from dcp_conformance.suite.bp.beacons.receive import check_processed, lengths, summary_block
 from dcp_conformance.test_steps.bp_clients import block_header_octets
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sending.peers import Peer
 
 
 def _noise(count: int) -> bytes:
@@ -39,21 +40,41 @@ def padding(bench: Bench, octets: bytes) -> None:
     "TC_BP_RX_BV_07",
     "A block after the end given by length is padding",
     requirements="BP-RX-14",
-    stimulus="a beacon with a VarDis block, followed by another block that neither length nor numPayloads counts",
-    expect="a request for the variable of the first block; whether the second is parsed is a reading (X02)",
+    stimulus=(
+        "beacons with a VarDis block, followed by another block that length does not count: numPayloads 1, then 2, "
+        "then 255"
+    ),
+    expect=(
+        "a request for the variable of the first block of the first beacon; whether the second block is parsed is a "
+        "reading (X02), but does not depend on numPayloads"
+    ),
     needs=lengths(),
 )
 def block_in_padding(bench: Bench) -> None:
     peer, (inside, outside), start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
-    whole = peer.beacon(summary_block(bench, peer, inside), summary_block(bench, peer, outside))
-    # Append the second block to a beacon whose length counts only the first.
-    head = peer.beacon(summary_block(bench, peer, inside))
-    peer.send_octets(head + whole[len(head) :])
+    tail = _tail(bench, peer, inside, outside)
+    peer.send(summary_block(bench, peer, inside), padding=tail)
     check_processed(bench, [inside], start, "the block before the end")
     bench.require_alive("a block after the end of its beacon")
     parsed = bench.instructions(ICType.REQUEST_VARCREATES, outside, since=start)
     if parsed or bench.instructions(ICType.REQUEST_VARCREATES, inside, since=start):
         bench.reading("X02", "frame-size" if parsed else "length-field")
+    if parsed or not bench.profile.has_header_field("numPayloads"):
+        return
+    for count in (2, 255):
+        inside, outside = bench.identifiers.unknown_ids(2)
+        tail, start = _tail(bench, peer, inside, outside), bench.mark()
+        peer.send(summary_block(bench, peer, inside), padding=tail, lies={"bp.numPayloads": count})
+        bench.require_alive(f"a block after the end of a beacon with numPayloads {count}")
+        found = bench.instructions(ICType.REQUEST_VARCREATES, outside, since=start)
+        bench.none(found, f"no request for the variable after the end, also with numPayloads {count}")
+
+
+def _tail(bench: Bench, peer: Peer, inside: int, outside: int) -> bytes:
+    """Return the second block of a beacon with the summaries of two variables in two blocks."""
+    head = peer.beacon(summary_block(bench, peer, inside))
+    whole = peer.beacon(summary_block(bench, peer, inside), summary_block(bench, peer, outside))
+    return whole[len(head) :]
 
 
 @case(

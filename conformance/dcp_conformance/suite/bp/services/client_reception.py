@@ -6,6 +6,7 @@ are decided too. A beacon that must be ignored is followed by a valid one that m
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import random
@@ -17,6 +18,7 @@ from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import LISTENS, Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import length_is_of_blocks, lengths
 from dcp_conformance.suite.bp.beacons.seqno import check_first_number, first_number
+from dcp_conformance.suite.bp.services.parameters import SET, SIZE
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,
     CLIENT,
@@ -25,6 +27,7 @@ from dcp_conformance.test_steps.bp_clients import (
     ONCE,
     REGISTER,
     BPClient,
+    block_header_octets,
     header_octets,
     listed,
     needed,
@@ -367,12 +370,32 @@ def numbers_after_reset(bench: Bench) -> None:
     check_first_number(bench, first_number(bench, bench.heard[:start], bench.heard[start:]))
 
 
+@contextlib.contextmanager
+def _without_room(bench: Bench) -> Iterator[None]:
+    """Keep a client's payload from being sent, if parameters can be set: it does not fit into a beacon."""
+    if SET not in bench.services.upper.methods or bench.profile.bp.payload_area:
+        yield
+        return
+    with BPClient(bench, ONCE) as client:
+        payload, old = client.payload(64), bench.sut.parameter(SIZE)
+        too_small = header_octets(bench) + block_header_octets(bench) + len(payload) // 2
+        if bench.call(SET, name=SIZE, value=too_small).ok:
+            client.transmit(payload)
+        try:
+            yield
+        finally:
+            bench.call(SET, name=SIZE, value=old)
+
+
 @case(
     "TC_BP_HDR_BV_12",
     "No sequence number is used while no client has a payload",
     requirements="BP-HDR-09",
     alone=LISTENS,
-    stimulus="a payload of a client, six periods without any, another payload",
+    stimulus=(
+        "a payload of a client, six periods without any, another payload; if parameters can be set, in the second half "
+        "of the pause a payload waits that does not fit"
+    ),
     expect="consecutive sequence numbers before and after the pause",
     window=12,
     needs=Needs(entities=(), ut=CLIENT, header=("seqno",)),
@@ -382,7 +405,9 @@ def idle_clients(bench: Bench) -> None:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "a beacon with the payload")
         bench.until_quiet(lambda heard: heard, 6)
-        last, pause = bench.heard[-1], bench.wait(6)
+        last, pause = bench.heard[-1], bench.wait(3)
+        with _without_room(bench):
+            pause += bench.wait(3)
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "a beacon with the second payload")
     following = bench.heard[bench.heard.index(last) + 1]

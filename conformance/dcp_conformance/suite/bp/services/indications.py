@@ -89,24 +89,28 @@ def unchanged(bench: Bench, size: int) -> None:
         bench.repeated(len(client.received()), 1, "indications", "BP-RXP-02")
 
 
+def _greatest(bench: Bench) -> int:
+    return int((1 << (8 * bench.profile.types.protocol_id.width)) - 1)
+
+
 @case(
     "TC_BP_RXP_BV_02",
     "Payloads are indicated to the client of their protocol and to no other",
     requirements="BP-RXP-03 BP-RXP-02",
     alone=LISTENS,
-    stimulus="two clients; one beacon with a block for each, and one with a block of an unregistered protocol",
+    stimulus=(
+        "two clients; one beacon with a block for each, and one with blocks of unregistered protocols, also with the "
+        "least and the greatest identifier"
+    ),
     expect="each client gets one indication, of its own payload",
     needs=_RECEPTION,
 )
 def right_client(bench: Bench) -> None:
     with BPClient(bench, ONCE) as one, BPClient(bench, REPEAT) as two:
-        peer, first, second = bench.peer(), pattern(9), pattern(9, 1)
-        for prot_id, octets in (
-            (one.prot_id, first),
-            (unused_protocol_id(bench), pattern(9, 2)),
-            (two.prot_id, second),
-        ):
-            peer.send(Block(prot_id, octets))
+        peer, first, second, greatest = bench.peer(), pattern(9), pattern(9, 1), _greatest(bench)
+        others = [Block(each, pattern(9, 2)) for each in (unused_protocol_id(bench), 0, greatest)]
+        for blocks in ([Block(one.prot_id, first)], others, [*others[1:], Block(two.prot_id, second)]):
+            peer.send(*blocks)
         two.until_received()
         bench.wait(_AFTERWARDS)
         for client, right in ((one, first), (two, second)):

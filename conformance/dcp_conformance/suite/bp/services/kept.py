@@ -6,6 +6,7 @@ State that must not change: the registration, payloads and list entry of a clien
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
@@ -354,25 +355,45 @@ def no_arrears(bench: Bench) -> None:
 
 @case(
     "TC_BP_MGT_BV_14",
-    "Deactivation and activation of BP do not change a queue",
-    requirements="BP-MGT-04 BP-MGT-05 BP-QM-03",
-    stimulus="while BP is inactive, a client submits A, B, C; BP-MGMT-Activate",
-    expect="three buffered payloads before activation; afterwards A, B, C, each once",
+    "Deactivation and activation of BP do not change queues and buffers",
+    requirements="BP-MGT-04 BP-MGT-05 BP-QM-03 BP-QM-04 BP-QM-05 BP-QM-07",
+    stimulus=(
+        "after a beacon, a client of each mode submits a payload and BP is deactivated; a client with a queue submits "
+        "two more; BP-MGMT-Activate"
+    ),
+    expect="each payload in a beacon, those of the queue in order and each once",
     window=10,
     needs=Needs(V1_2, entities=(), ut=(*CLIENT, QUERY, ACTIVATE, DEACTIVATE)),
 )
 def queue_across_activation(bench: Bench) -> None:
-    with BPClient(bench, DROPTAIL, entries=3) as client:
+    with ExitStack() as stack:
+        clients = [stack.enter_context(BPClient(bench, mode, entries=3)) for mode in (DROPTAIL, DROPHEAD, ONCE, REPEAT)]
+        queue, repeating = clients[0], clients[-1]
+        repeating.transmit(repeating.payload())
+        repeating.until_sent()
+        start = bench.mark()
+        waiting = [(client, client.payload()) for client in clients]
+        for client, payload in waiting:
+            client.transmit(payload)
         with bench.services.deactivated("BP"):
             bench.wait(0.2)
-            start = bench.mark()
-            payloads = [client.payload() for _ in range(3)]
-            for payload in payloads:
-                client.transmit(payload)
-            number = client.number()
-            early = len(indications(bench, TRANSMITTED, client.prot_id))
-            bench.answered(number, 3, "buffered payloads", "BP-MGT-04")
-            bench.answered(early, 0, "indications of a transmission while BP is inactive", "BP-MGT-04")
-        bench.until_quiet(client.in_frame, since=start)
-        sent = [each for each in client.sent(start) if each in payloads]
+            early = len(queue.sent(start))
+            told = len(indications(bench, TRANSMITTED, queue.prot_id))
+            payloads = [waiting[0][1], queue.payload(), queue.payload()]
+            for payload in payloads[1:]:
+                queue.transmit(payload)
+            bench.answered(queue.number(), 3 - early, "buffered payloads", "BP-MGT-04")
+            bench.answered(
+                len(indications(bench, TRANSMITTED, queue.prot_id)) - told,
+                0,
+                "indications of a transmission while BP is inactive",
+                "BP-MGT-04",
+            )
+        bench.until_quiet(queue.in_frame, since=start)
+        sent = [each for each in queue.sent(start) if each in payloads]
         bench.in_order(sent, payloads, "payloads A, B, C", "BP-MGT-05 BP-QM-03", seen=listed(sent, payloads))
+        several = [each for each in queue.frames(start) if len(queue.in_frame(each)) > 1]
+        bench.none(several, "at most one payload of the client in each beacon", "BP-MGT-05 BP-QM-07", frames=several)
+        bench.until(lambda _: all(payload in client.sent(start) for client, payload in waiting), 8)
+        lost = [client.registration["queueingMode"] for client, payload in waiting if payload not in client.sent(start)]
+        bench.complete(lost, "the payloads that waited at the deactivation", "BP-MGT-04 BP-QM-03 BP-QM-04 BP-QM-05")

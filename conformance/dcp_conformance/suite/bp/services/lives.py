@@ -13,7 +13,9 @@ from typing import Any
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.suite.bp.services.parameters import NETWORK, PERIOD, SET, SIZE
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
@@ -36,15 +38,18 @@ from dcp_conformance.test_steps.bp_clients import (
     REPEAT,
     TOO_LARGE,
     TRANSMIT,
+    TRANSMITTED,
     UNKNOWN_PROTOCOL,
     BPClient,
     areas_of_fixed_size,
     each_mode,
+    indications,
     largest_payload,
     listed,
     needed,
     no_confirm,
     queue_mode,
+    until,
 )
 from dcp_conformance.test_steps.services import parameters_set, until_neighbour
 from dcp_conformance.test_system.bench import MS, Bench
@@ -275,10 +280,13 @@ def refused_duplicate(bench: Bench, mode: str) -> None:
     stimulus=(
         "while BP is inactive, for a client of each mode: registrations that are refused and one that is not; payloads "
         "that are too large, empty, and one more than is kept; BP-ClearBuffer and the payloads again; another client "
-        "registers, submits and deregisters; then BP-MGMT-Activate"
+        "registers, submits and deregisters; then BP-MGMT-Activate, and a beacon with a block for each of them"
     ),
-    expect="the same statuses, list and numbers as while BP is active; afterwards the payloads that each mode keeps",
-    window=14,
+    expect=(
+        "the same statuses, list and numbers as while BP is active; afterwards the payloads that each mode keeps, and "
+        "indications of all blocks except that of the client that has deregistered"
+    ),
+    window=16,
     needs=Needs(V1_2, entities=(), ut=_SWITCHED),
 )
 def while_inactive(bench: Bench) -> None:
@@ -300,7 +308,21 @@ def while_inactive(bench: Bench) -> None:
             bench.wait(1)
         for expected, payloads in kept:
             expected.check_sent(payloads, start)
+        if no_indication(bench) is None:
+            until(bench, lambda: all(indications(bench, TRANSMITTED, each.prot_id) for each in clients))
+            told = [client for client in clients if indications(bench, TRANSMITTED, client.prot_id)]
+            untold = [each.registration["queueingMode"] for each in clients if each not in told]
+            bench.complete(untold, "indications of the payloads that were sent", "BP-MGT-04")
         bench.none(gone.sent(start), "no payload of the deregistered client", "BP-MGT-04 BP-DRG-03")
+        blocks = [Block(each.prot_id, b"for %d" % place) for place, each in enumerate((gone, *clients))]
+        for _ in range(2):
+            # A beacon may be lost.
+            bench.peer().send(*blocks)
+            if until(bench, lambda: all(client.received() for client in clients)):
+                break
+        deaf = [client.registration["queueingMode"] for client in clients if not client.received()]
+        bench.complete(deaf, "indications to the clients registered while BP was inactive", "BP-MGT-04 BP-REG-06")
+        bench.none(gone.received(), "no indication to the deregistered client", "BP-MGT-04 BP-DRG-04")
 
 
 def _serve(bench: Bench, client: BPClient, expected: _Registered) -> list[bytes]:

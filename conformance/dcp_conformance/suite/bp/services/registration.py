@@ -33,6 +33,7 @@ from dcp_conformance.test_steps.bp_clients import (
     areas_of_fixed_size,
     each_mode,
     largest_payload,
+    unused_protocol_id,
 )
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_system.bench import MS, Bench
@@ -165,9 +166,12 @@ def size_zero_in_1_0(bench: Bench) -> None:
 @case(
     "TC_BP_REG_BV_07",
     "Every protocol identifier can be registered ({variant})",
-    requirements="BP-REG-01",
-    stimulus="BP-RegisterProtocol with protId {variant}; the client submits a payload; a beacon with a block for it",
-    expect="BP-STATUS-OK, a beacon with the payload, and an indication of the block",
+    requirements="BP-REG-01 BP-RXP-03",
+    stimulus=(
+        "BP-RegisterProtocol with protId {variant}; the client submits a payload; a beacon with a block for it between "
+        "two of an unregistered protocol"
+    ),
+    expect="BP-STATUS-OK, a beacon with the payload, and an indication of the block for it only",
     needs=Needs(entities=(), ut=CLIENT),
     variants={"0": 0, "255": 0xFF, "256": 0x100, "the-largest": None},
 )
@@ -182,9 +186,11 @@ def any_identifier(bench: Bench, prot_id: int | None) -> None:
     try:
         client.transmit(client.payload())
         bench.some(client.until_sent(), "a beacon with the payload")
-        octets = bytes(range(7))
-        bench.peer().send(Block(client.prot_id, octets))
-        bench.some(octets in client.until_received(), "an indication of the block")
+        octets, other = bytes(range(7)), Block(unused_protocol_id(bench), b"of another protocol")
+        bench.peer().send(other, Block(client.prot_id, octets), other)
+        received = client.until_received()
+        bench.some(octets in received, "an indication of the block", "BP-REG-01")
+        bench.only(set(received), {octets}, "no indication of another block", "BP-RXP-03")
     finally:
         bench.call(DEREGISTER, protId=client.prot_id)
 
@@ -208,12 +214,22 @@ def size_zero(bench: Bench) -> None:
     stimulus="BP-RegisterProtocol with too large a maxPayloadSize ({variant})",
     expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
-    variants={"by-one": 1, "maximum-packet-size": None, "65535": 0xFFFF},
+    variants={
+        "by-one": lambda bench: largest_payload(bench) + 1,
+        "maximum-packet-size": lambda bench: bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE"),
+        "65535": lambda _: 0xFFFF,
+        "65536-too-large": lambda _: (1 << 16) + 64,
+    },
 )
-def size_too_large(bench: Bench, what: int | None) -> None:
-    largest = largest_payload(bench)
-    size = {1: largest + 1, None: bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
-    expect(bench, ILLEGAL_SIZE, BPClient(bench, ONCE), maxPayloadSize=size)
+def size_too_large(bench: Bench, size: Callable[[Bench], int]) -> None:
+    client = BPClient(bench, ONCE)
+    answer = client.register(maxPayloadSize=size(bench))
+    if not answer.asked and size(bench) > 0xFFFF:
+        bench.info("Can sizes of more than 16 bits be requested?", f"no: {answer}")
+        return
+    bench.services.check_status(answer, (ILLEGAL_SIZE,), REGISTER)
+    if answer.ok:
+        bench.call(DEREGISTER, protId=client.prot_id)
 
 
 @case(

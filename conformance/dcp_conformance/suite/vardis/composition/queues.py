@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from itertools import cycle, pairwise
+from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
@@ -11,8 +13,8 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, require_undisturbed
-from dcp_conformance.test_steps.services import listed
-from dcp_conformance.test_steps.variable_queries import teach_variables
+from dcp_conformance.test_steps.services import listed, produced
+from dcp_conformance.test_steps.variable_queries import modulus, teach_variables
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -159,19 +161,25 @@ def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
 
 @case(
     "TC_VD_ORD_BV_02",
-    "A new variable is summarised after all others, and an updated one keeps its turn",
+    "A new variable is summarised after all others, and the others keep their turns",
     requirements="VD-CMP-03 VD-CRE-12 VD-PC-09",
     stimulus=(
-        "VARDISPAR_MAX_SUMMARIES = 2 with nine variables; a tenth is created; then one of them is updated in each of "
-        "14 periods"
+        "VARDISPAR_MAX_SUMMARIES = 2 with nine variables; a tenth is created; then one of them and an own one are "
+        "updated in each of 13 periods, and three of these follow: VarCreate, VarDelete, summaries, "
+        "VarReqCreate, VarReqUpdate, RTDB-Create, -Read, -Delete, -DescribeVariable, -DescribeDatabase, VD-SetParameter"
     ),
-    expect="a summary of each of the nine before the first of the tenth; summaries of the updated variable",
+    expect=(
+        "a summary of each of the nine before the first of the tenth; then summaries of the updated variable, and of "
+        "all that are not deleted in turn"
+    ),
     window=40,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter"), when=summarises),
 )
 def turn_of_summaries(bench: Bench) -> None:
     peer, names = bench.peer(), bench.identifiers.var_ids(9)
     teach_variables(bench, peer, [peer.create(each, value=b"v", descr=b"d") for each in names])
+    served = bench.services.upper.methods
+    own = [produced(bench, value=b"v", descr="d") for _ in range(3)] if "RTDB-Create" in served else []
     bench.must("VD-SetParameter", name=SUMMARIES, value=2)
     bench.wait(3)
     new, start = bench.var_id(), bench.mark()
@@ -181,12 +189,67 @@ def turn_of_summaries(bench: Bench) -> None:
     bench.some(new in order, "a summary of the new variable", "VD-CMP-03")
     before = order[: order.index(new)] if new in order else order
     bench.complete([each for each in names if each not in before], "a summary of each other variable before")
-    start = bench.mark()
-    for number in range(1, 15):
-        peer.send(peer.update(names[4], number, b"w"))
+    start, gone = bench.mark(), [*names[-2:], *own[1:]]
+    turns = [each for each in dict.fromkeys(order) if each in {*names, *own} and each not in gone]
+
+    def waiting() -> int:
+        """Return a variable that is neither the next to be summarised nor the last one."""
+        last = [each.var_id for each in bench.instructions(_SUMMARY) if each.var_id in turns]
+        return (
+            names[(names.index(last[-1]) + len(names) // 2) % (len(names) - 2)]
+            if last and last[-1] in names
+            else names[0]
+        )
+
+    acts = _acts(bench, peer, waiting, names, own)
+    for number in range(len(acts)):
+        peer.send(peer.update(names[4], number + 1, b"w"))
+        if own and "RTDB-Update" in served:
+            bench.call("RTDB-Update", varId=own[0], value="77")
+        # Each more than once: a rotation that starts again does not show if it was at its start.
+        for ago in (0, 4, 7):
+            acts[number - ago]()
         bench.beacons(1, 1.5)
-    found = bench.instructions(_SUMMARY, names[4], start)
-    bench.some(found, "a summary of the variable that is updated", "VD-CMP-03", frames=found[:2])
+    found = bench.instructions(_SUMMARY, since=start)
+    updated = [each for each in found if each.var_id == names[4]]
+    bench.some(updated, "a summary of the variable that is updated", "VD-CMP-03", frames=updated[:2])
+    # In a rotating queue each variable has its turn after the same other one.
+    places = [turns.index(each.var_id) for each in found if each.var_id in turns]
+    wrong = [turns[place] for last, place in pairwise(places) if place != (last + 1) % len(turns)]
+    bench.complete(wrong, "summaries of the variables in turn", "VD-CMP-03", frames=found[:8])
+
+
+def _acts(
+    bench: Bench, peer: Peer, waiting: Callable[[], int], names: list[int], own: list[int]
+) -> list[Callable[[], object]]:
+    """Return events that do not change the order of the summaries: up to 13, or 8 without services.
+
+    ``waiting`` returns a variable to be affected. The last two of ``names`` and of ``own`` are deleted, and others are
+    created.
+    """
+    deleted, removed = cycle(names[-2:]), cycle(own[-2:])
+    records = [
+        lambda: peer.create(bench.var_id(), value=b"v", descr=b"d"),
+        lambda: peer.delete(next(deleted)),
+        lambda: peer.summary(waiting(), 1),
+        lambda: peer.summary(waiting(), modulus(bench) - 1),
+        lambda: peer.summary(waiting(), 0),
+        lambda: peer.request_create(waiting()),
+        lambda: peer.request_update(waiting(), modulus(bench) - 1),
+    ]
+    acts: list[Callable[[], object]] = [lambda make=make: peer.send(make()) for make in records]  # type: ignore[misc]
+    acts.append(lambda: bench.must("VD-SetParameter", name=SUMMARIES, value=2))
+    if own:
+        calls: dict[str, Callable[[], dict[str, Any]]] = {
+            "RTDB-Read": lambda: {"varId": own[0]},
+            "RTDB-DescribeVariable": lambda: {"varId": names[0]},
+            "RTDB-DescribeDatabase": dict,
+            "RTDB-Delete": lambda: {"varId": next(removed)},
+        }
+        served = [each for each in calls if each in bench.services.upper.methods]
+        acts += [lambda each=each: bench.call(each, **calls[each]()) for each in served]  # type: ignore[misc]
+        acts.append(lambda: produced(bench, value=b"v", descr="d"))
+    return acts
 
 
 # -- many records ------------------------------------------------------------------------------------------------------

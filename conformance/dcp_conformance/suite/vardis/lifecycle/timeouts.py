@@ -39,8 +39,8 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
     requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
     alone=TIMES_DELETION,
     stimulus=(
-        "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for two "
-        "timeouts and a scrubbing period"
+        "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for one "
+        "and a half timeouts and a scrubbing period"
     ),
     expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
@@ -50,7 +50,7 @@ def kept_by_updates(bench: Bench) -> None:
     period_ms, scale = shorten_scrubbing(bench), bench.session.timing_scale
     peer, name, timeout_ms = bench.peer(), bench.var_id(), lasting(bench, round(600 * scale), 4)
     since = learn(bench, peer, name, timeout_ms)
-    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    until = bench.now() + (3 * timeout_ms // 2 + period_ms) * MS
     number = slowest = 0
     while bench.now() < until:
         last, number = since, number + 1
@@ -80,7 +80,7 @@ def kept_by_updates(bench: Bench) -> None:
     "Updates by its application prevent the timeout of a variable at the producer",
     requirements="VD-SCR-03",
     alone=TIMES_DELETION,
-    stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts",
+    stimulus="the application updates a variable with timeout 600 ms every 200 ms for one and a half timeouts",
     expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
     needs=_OWN,
@@ -92,7 +92,7 @@ def kept_by_the_application(bench: Bench) -> None:
         bench.call("UT-Hello")
     name, timeout_ms = bench.identifiers.own_var_id(), updated_in_time(bench, round(600 * bench.session.timing_scale))
     since = create_own(bench, name, timeout_ms)
-    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    until = bench.now() + (3 * timeout_ms // 2 + period_ms) * MS
     slowest = 0
     refused: Answer | None = None
     while bench.now() < until:

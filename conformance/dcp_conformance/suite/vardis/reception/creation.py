@@ -32,6 +32,10 @@ def _held(bench: Bench, var_id: int, record: VarCreate, what: str, *requirements
 _Make = Callable[[Bench, Peer, int], VarCreate]
 
 
+def _binary(bench: Bench) -> str | None:
+    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
+
+
 def _plain(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG001
     return peer.create(var_id)
 
@@ -54,6 +58,24 @@ def _umlauts(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
     return peer.create(var_id, value=b"\0\xff\0", descr="höhe".encode(), producer=bench.identifiers.node_id())
 
 
+def _zeros(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
+    descr = b"d" if bench.profile.types.string.terminated else b"\0"
+    return peer.create(var_id, value=b"\0", descr=descr, producer=bytes(len(bench.identifiers.sut_id)))
+
+
+def _ones(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
+    longest = min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
+    timeout = (1 << 8 * bench.profile.types.var_timeout.width) - 1 if bench.features.creation_time else 0
+    return peer.create(
+        var_id,
+        value=b"\xff" * longest,
+        descr=b"\xff",
+        seqno=modulus(bench) - 1,
+        timeout=timeout,
+        producer=b"\xff" * len(bench.identifiers.sut_id),
+    )
+
+
 def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
     return peer.create(var_id, timeout=(1 << 8 * bench.profile.types.var_timeout.width) - 2)
 
@@ -69,6 +91,8 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
         "largest": Variant(_largest),
         "smallest": Variant(_smallest),
         "far-producer": Variant(_umlauts),
+        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
         "timeout": Variant(_with_timeout, requirements="VD-PC-10 VD-TYP-04 VD-TYP-06", needs=_V2_0),
     },
 )
@@ -156,12 +180,14 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
     expect="the later one in the database in both cases",
     needs=_V2_0,
     variants={
+        "0-1": (0, 1),
         "255-256": (255, 256),
         "65535-65536": (65535, 65536),
         "2p31": ((1 << 31) - 1, 1 << 31),
         "2p32": ((1 << 32) - 1, 1 << 32),
         "2p63": ((1 << 63) - 1, 1 << 63),
         "low-octets": (0x0102030405FF, 0x010203040600),
+        "the-greatest": ((1 << 64) - 2, (1 << 64) - 1),
     },
 )
 def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
@@ -176,7 +202,9 @@ def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
         records = {each: peer.create(var_id, value=str(each)[-5:].encode(), creation_time=each) for each in order}
         for each in order:
             peer.send(records[each])
-            bench.until_instruction(CREATES, var_id, bench.sut.reaction if each == order[0] else 1.5)
+            found = bench.until_instruction(CREATES, var_id, bench.sut.reaction if each == order[0] else 1.5)
+            if each == order[0]:
+                bench.some(found, f"the VarCreate with creationTime {each} is forwarded")
         _held(
             bench,
             var_id,

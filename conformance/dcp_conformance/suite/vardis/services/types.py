@@ -104,25 +104,29 @@ def layout(bench: Bench) -> None:
 
 @case(
     "TC_VD_TYP_BV_02",
-    "The length of a value may change with every update, up to the maximum",
-    requirements="VD-TYP-02",
+    "Length and content of a value may change with every update",
+    requirements="VD-TYP-02 VD-PU-07",
     stimulus=(
-        "VarUpdates of a variable with values of 1 octet, the maximum, 2 octets, one less than the maximum, and 1 octet"
+        "VarUpdates of a variable with values of 1 octet, the maximum, 2 octets, one less than the maximum, and 1 "
+        "octet; of an octet 0, of octets 0xFF, and the same again"
     ),
-    expect="each is forwarded with its length, and the last one is stored",
-    window=12,
+    expect="each is forwarded with its value, and the last one is stored",
+    window=16,
 )
 def lengths(bench: Bench) -> None:
     peer, most = bench.peer(), min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
     var_id = teach_variable(bench, peer)
-    value = b""
-    for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
-        value = bytes(0x40 + index % 64 for index in range(length))
+    values = [
+        bytes(0x40 + index % 64 for index in range(length)) for length in (1, most, min(2, most), max(1, most - 1), 1)
+    ]
+    for seqno, value in enumerate([*values, b"\0", b"\xff" * most, b"\xff" * most], 1):
         peer.send(peer.update(var_id, seqno, value))
         came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.equal(came and came.value, value, f"the value of {length} octets, forwarded unchanged")
+        observed = came and (came.value, came.seqno)
+        bench.equal(observed, (value, seqno), f"value {value.hex()} and its number {seqno}, forwarded unchanged")
     held = ask(bench, var_id)
-    bench.equal(held.record and held.record.upd.value, value, "the last value in the database", given=came)
+    upd = held.record and held.record.upd
+    bench.equal(upd and (upd.value, upd.seqno), (value, seqno), "the last value in the database", given=came)
 
 
 @case(

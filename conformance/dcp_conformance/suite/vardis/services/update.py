@@ -46,15 +46,17 @@ _UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
     "TC_VD_UPD_BV_01",
     "An update is sent with its value and the next sequence number",
     requirements="VD-UPD-07 VD-UPD-08",
-    stimulus="RTDB-Create; four times RTDB-Update, each after the VarUpdate of the one before",
+    stimulus=(
+        "RTDB-Create; four times RTDB-Update, also with octets 0 and 0xFF, each after the VarUpdate of the one before"
+    ),
     expect="VARDIS-STATUS-OK each time; VarUpdates with these values and sequence numbers 1, 2, 3, 4",
     window=25,
     needs=_UPDATE,
 )
 def updates(bench: Bench) -> None:
     var_id = produced(bench)
-    for number in range(1, 5):
-        value = bench.records.value(b"value %d" % number)
+    for number, given in enumerate((b"value 1", b"\0\0", b"\xff\xff", b"v\0"), 1):
+        value = bench.records.value(given)
         mark = bench.mark()
         bench.expect_status(OK, "RTDB-Update", "VD-UPD-08", varId=var_id, value=value.hex())
         record = _until_value(bench, var_id, value)
