@@ -31,6 +31,7 @@ from .srp import SRPModel
 #: More octets than a report has.
 _REPORT = 300
 
+
 class NodeModel:
     """One node as its specification has it. All times are ns of the tester's clock."""
 
