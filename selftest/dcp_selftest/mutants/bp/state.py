@@ -48,6 +48,13 @@ before(BeaconingProtocol, BeaconingProtocol.activate)("activated", "BP-HDR-08",
     lambda self, now: assign(self, _seqno=0), unseen=BP_ALWAYS_ACTIVE)  # fmt: skip
 
 
+before(BeaconingProtocol, BeaconingProtocol.activate)("slots-while-inactive", "BP-HDR-09 BP-HDR-08",
+    "counts the beacons that it would have sent while it was inactive",
+    lambda self, now: self._active or assign(self,
+        _seqno=self._seqno + max(0, now - self._schedule.due) // self._parameters.period),
+    unseen=BP_ALWAYS_ACTIVE)  # fmt: skip
+
+
 @mutant("clears", "BP-MGT-05", "clears all buffers when it is activated although it is active")
 class ReactivateClears(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
