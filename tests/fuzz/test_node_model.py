@@ -346,6 +346,14 @@ def test_a_lowered_limit_does_not_bound_what_the_node_holds() -> None:
     assert judged(_CREATED_AGAIN, *lengths, setting("MAX_PAYLOAD_SIZE", 0), Wait(25)) == ()
 
 
+@pytest.mark.req("VD-RC-03")
+def test_a_request_between_timeout_and_scrubbing_may_have_an_effect() -> None:
+    ask = Beacon(0, (Records("ask-create", 0),))
+    update = Call("RTDB-Update", {"varId": 0, "value": 2})
+    timed = Call("RTDB-Create", _CREATED_AGAIN.params | {"timeout": 1200})
+    assert judged(timed, Wait(16), ask, update, Wait(16)) == ()
+
+
 class TwiceListed(NeighbourTable):
     """Lists entries twice."""
 

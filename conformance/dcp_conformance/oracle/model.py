@@ -244,7 +244,7 @@ class Model:
         variable = self._variable(var_id)
         known = variable.now
         if known.state == "alive" and self._own(known):
-            if variable.uncertain and known.spec is not None:
+            if (variable.uncertain or time >= variable.due) and known.spec is not None:
                 # It may have been requested since then.
                 variable.repetitions.clear()
                 variable.repetitions.arm((_CREATES, 0), known.spec.rep_cnt, time)
