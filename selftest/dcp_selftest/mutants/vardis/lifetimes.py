@@ -81,7 +81,8 @@ def _own(self: Vardis, entry: DBEntry) -> bool:
 
 # fmt: off
 age = instead(Ages, Ages.age)
-age("consumer-double", "VD-SCR-03 VD-SCR-01 VD-SCR-05", "deletes variables of other nodes after twice their timeout",
+age("consumer-double", "VD-SCR-03 VD-SCR-01 VD-SCR-04 VD-SCR-05",
+    "deletes variables of other nodes after twice their timeout",
     lambda self, entry, age: age if _own(self, entry) else age // 2, since=V2)
 age("updated-double", "VD-SCR-03 VD-SCR-01", "deletes variables that were updated after twice their timeout",
     lambda self, entry, age: age if entry.seqno == 0 else age // 2, since=V2)

@@ -91,8 +91,8 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
         "largest": Variant(_largest),
         "smallest": Variant(_smallest),
         "far-producer": Variant(_umlauts),
-        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
-        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "zeros": Variant(_zeros, requirements="VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "ones": Variant(_ones, requirements="VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
         "timeout": Variant(_with_timeout, requirements="VD-PC-10 VD-TYP-04 VD-TYP-06", needs=_V2_0),
     },
 )
