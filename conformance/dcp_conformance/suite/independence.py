@@ -113,7 +113,9 @@ def kept(bench: Bench, act: Callable[[Bench, Peer], None]) -> None:
         before, begun = until_neighbour(bench, peer.node_id, 7), bench.now()
         name, count, start = bench.var_id(), bench.sut.rep_cnt(_REPETITIONS), bench.mark()
         peer.send(peer.create(name, rep_cnt=count))
-        bench.required(bench.until_instruction(_CREATE, name), "the VarCreate is forwarded", "VD-PC-09")
+        # Other cases decide whether it is forwarded at all.
+        if bench.until_instruction(_CREATE, name, 2 * bench.sut.reaction) is None:
+            bench.inconclusive("a forwarded VarCreate, which this case needs", "none in time")
         submitted, values = bench.mark(), reporter.submit()
         act(bench, peer)
         after = neighbours(bench).get(peer.node_id)
