@@ -91,8 +91,8 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
         "largest": Variant(_largest),
         "smallest": Variant(_smallest),
         "far-producer": Variant(_umlauts),
-        "zeros": Variant(_zeros, requirements="VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
-        "ones": Variant(_ones, requirements="VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
         "timeout": Variant(_with_timeout, requirements="VD-PC-10 VD-TYP-04 VD-TYP-06", needs=_V2_0),
     },
 )
@@ -101,10 +101,13 @@ def unchanged(bench: Bench, make: _Make) -> None:
     record = make(bench, peer, var_id)
     octets = bench.builder.container(record)[bench.builder.container_header_size :]
     peer.send(record)
-    came = bench.required(
-        bench.until(lambda heard: heard.instructions(CREATES, var_id)) or [], "the VarCreate is forwarded"
-    )
-    bench.proved(octets in came[0].heard.octets, f"the octets {octets.hex()}", came[0].record, frames=came)
+    found = bench.until(lambda heard: heard.instructions(CREATES, var_id)) or []
+    # A node that does not take the values for those of a variable violates the rule about its creation.
+    named = bench.case.requirements
+    came = bench.required(found, "the VarCreate is forwarded", *({"VD-PC-07"}.intersection(named) or named))
+    others = [each for each in named if each != "VD-PC-07"]
+    same = octets in came[0].heard.octets
+    bench.proved(same, f"the octets {octets.hex()}", came[0].record, *others, frames=came)
 
 
 # -- creations and creationTime ----------------------------------------------------------------------------------------
