@@ -65,9 +65,8 @@ class Runner:
     """Executes cases in succession against one implementation.
 
     If the implementation is dead after a case, the case is repeated alone before the death is attributed to it
-    (:mod:`dcp_conformance.execution.survival.attribution`), unless it is the first one since a start and the death is of a
-    kind that several cases have confirmed. With a command to restart the implementation the run
-    continues.
+    (:mod:`dcp_conformance.execution.survival.attribution`), unless it is the first one since a start and several cases
+    have confirmed deaths of this kind. With a command to restart the implementation the run continues.
     """
 
     def __init__(
