@@ -94,7 +94,7 @@ create_event("zero", "VD-PC-06", "accepts a VarCreate with a repetition count of
         Event.RX_CREATE_LATER
         if event is Event.RX_CREATE_BAD_REPCNT and not record.spec.rep_cnt else event), since=SpecVersion.V1_2)
 create_event("time-0", "VD-PC-01 VD-PC-09", "treats a VarCreate with creationTime 0 as invalid",
-    lambda self, event, record, entry: event if record.spec.creation_time else Event.RX_CREATE_NOT_LATER,
+    lambda self, event, record, entry: Event.RX_CREATE_NOT_LATER if record.spec.creation_time == 0 else event,
     since=SpecVersion.V2_0, unseen=NO_TIMES)
 create_event("nobody", "VD-PC-07 DATA-04", "ignores a VarCreate whose producer has the identifier 0",
     lambda self, event, record, entry: event if any(record.spec.prod_id) else Event.RX_CREATE_BAD_VALUE)
