@@ -27,7 +27,7 @@ class RecordFactory:
         self._value = value
         self._own = profile.own_fields()
         self.stamped = "creationTime" in profile.vardis.var_spec
-        """Whether a VarSpec has a creation time."""
+        """Whether the profile has the field creationTime in VarSpec."""
         self._limited = "timeout" in profile.vardis.var_spec
         self._headed = bool(profile.bp.header)
         self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None

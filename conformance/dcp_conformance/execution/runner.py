@@ -33,7 +33,7 @@ from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed
 from .survival.attribution import Attribution, Trial, attribute, blamed, came_back, kinds, with_failures_of
-from .survival.life import Life, Loss
+from .survival.life import Life
 from .survival.readiness import Readiness
 
 #: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
@@ -93,7 +93,7 @@ class Runner:
         self._deaths: dict[str, list[str]] = {}
         """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.survival.life.Loss.group`."""
         self.just_started = False
-        """Whether no case has been executed since the implementation was started again."""
+        """Whether the implementation was restarted, and no case has been executed since."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []
@@ -108,7 +108,7 @@ class Runner:
         self.restarts = 0
         """Number of restarts."""
         self.restarting = False
-        """Whether the implementation has not answered since its last restart."""
+        """Whether a restart is in progress: the implementation has not answered yet."""
         self._renewals = 0
         """Number of restarts because identifiers were used up."""
         self._disturbed: dict[str, str] = {}
@@ -279,7 +279,6 @@ class Runner:
         self.session.renewable = (
             self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
         )
-        alone = self.just_started
         trial = self._trial(case)
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
@@ -294,9 +293,7 @@ class Runner:
                 self.remember(trial, result, self.session.lower.now())
             self._refuse(case, trial)
             return result
-        result = msgspec.structs.replace(
-            self._judge_loss(trial, attempt, alone=alone and executions == 1), executions=executions
-        )
+        result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
         self._revive(case, trial)
         return result
 
@@ -386,20 +383,17 @@ class Runner:
         result = self._judge_loss(trial, last.result.attempt)
         self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
-    def _known(self, loss: Loss) -> bool:
-        """Return whether several cases have ended the implementation in this way, each in two executions."""
-        return loss.died and len(self._deaths.get(loss.group, ())) >= _KNOWN
+    def _needs_no_confirmation(self, trial: Trial) -> bool:
+        """Return whether no other case can be the cause of a death, and several have died so in two executions each."""
+        loss = trial.loss
+        return loss is not None and loss.died and trial.first and len(self._deaths.get(loss.group, ())) >= _KNOWN
 
-    def _judge_loss(self, trial: Trial, attempt: int, *, alone: bool = False) -> CaseResult:
-        """Attribute a loss to a case; return the result of the case after which the loss was found.
-
-        ``alone``: whether the case was the first one after a start, so that no other one can be the cause. Then a known
-        way to end needs no second execution.
-        """
+    def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
+        """Attribute a loss to a case; return the result of the case after which the loss was found."""
         assert trial.loss is not None
         suspects = [each for each in self._recent if trial.begun - each.ended <= SLOW_DEATH * 1e9]
         self._recent.clear()
-        if alone and self._known(trial.loss):
+        if self._needs_no_confirmation(trial):
             found = Attribution(trial, blamed(trial), killed=True)
         else:
             again = self._again if self._restartable else None
@@ -416,11 +410,11 @@ class Runner:
 
     def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
         """Execute a case once, and check the implementation. ``fresh``: whether it is in its initial state already."""
-        self.just_started = False
         bench = Bench(self.session, case)
         # The applicability of the case may depend on assumptions: let the bench record them.
         why_not(bench, case)
-        trial = Trial(case, bench, self.session.lower.now(), bench.verdicts.checks)
+        trial = Trial(case, bench, self.session.lower.now(), bench.verdicts.checks, first=self.just_started)
+        self.just_started = False
         with recorded(trial):
             # Before the reset, which removes the variables that the measurement creates.
             self._measure()
@@ -528,14 +522,13 @@ class Runner:
         """
         if self.dead or self._unsettled:
             return None
-        alone = self.just_started
         trial = self._trial(case)
         if trial.loss is not None:
             self._recent.clear()
             if not self._restartable:
                 self._wait_for(trial)
                 return None
-            if alone and self._known(trial.loss):
+            if self._needs_no_confirmation(trial):
                 return self._killed(trial)
             if self._restart_sut(case) or not trial.loss.died:
                 return None

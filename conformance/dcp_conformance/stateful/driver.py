@@ -288,10 +288,9 @@ class Driver:
             params["varId"] = self._variable(params["varId"])
         if params.get("name") == "VARDISPAR_MAX_PAYLOAD_SIZE":
             params["value"] = max(params["value"], self.model.least_payload)
-        if params.get("name") and isinstance(params.get("name"), int):
-            params["name"] = _letters(params["name"])
-        if isinstance(params.get("descr"), int):
-            params["descr"] = _letters(params["descr"], wide=params.get(FILL) == "ones")
+        for name, wide in (("name", False), ("descr", params.get(FILL) == "ones")):
+            if isinstance(params.get(name), int):
+                params[name] = _letters(params[name], wide=wide)
         for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
                 again, fill = bool(params.pop(AGAIN, False)), params.pop(FILL, "")

@@ -34,16 +34,12 @@ class ForeignReports:
         self._since: int | None = now
         """Time of the start or reset of the implementation; None: the tester has submitted data since."""
 
-    def is_own(self, report: ExtendedSafetyData) -> bool:
-        """Return whether the data of a report are data that the tester has submitted, in any order of the fields."""
-        return unordered(report.s_data.as_dict().values()) in self._own
-
     def heard(self, report: ExtendedSafetyData | None, now: int) -> None:
         """Take the report of a beacon into account."""
         if self._since is None:
             return
         self.listened = max(self.listened, now - self._since)
-        if report is not None and not self.is_own(report):
+        if report is not None and unordered(report.s_data.as_dict().values()) not in self._own:
             self._numbers.add(report.seqno)
             self.proved = self.proved or len(self._numbers) >= _SHOWN
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_conformance.check.reception.links import Model, reacts
+from dcp_conformance.check.reception.links import Inference, reacts
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import all_tests
 from dcp_conformance.interop.implementations import built_in
@@ -24,7 +24,7 @@ def outcomes(exposure, share: dict[int, float], trials: int, seed: int = 1) -> d
 @pytest.mark.parametrize("beacons", [1, 2, 4])
 def test_the_share_is_per_beacon_however_often_a_cause_is_repeated(share: float, beacons: int) -> None:
     seen = outcomes(((A, beacons),), {A: share}, 4000)
-    model = Model(seen)
+    model = Inference(seen)
     assert model.shares[A] == pytest.approx(share, abs=0.08)
     assert model.trials[A] == 4000
     assert model.due[A] == pytest.approx(seen[((A, beacons),)][1])
@@ -33,13 +33,13 @@ def test_the_share_is_per_beacon_however_often_a_cause_is_repeated(share: float,
 
 def test_reactions_to_repeated_causes_do_not_show_how_well_a_link_works() -> None:
     """With five beacons in each trial, half of them lost, nearly every trial is met."""
-    assert Model({((A, 5),): (0, 57)}).lower_bound(A, 1.0) < 0.65
-    assert Model({((A, 1),): (0, 57)}).lower_bound(A, 1.0) > 0.98
+    assert Inference({((A, 5),): (0, 57)}).lower_bound(A, 1.0) < 0.65
+    assert Inference({((A, 1),): (0, 57)}).lower_bound(A, 1.0) > 0.98
 
 
 def test_beacons_of_other_nodes_explain_only_some_reactions() -> None:
     seen = {((A, 1),): (10, 90), ((A, 3), (B, 1)): (0, 50), ((B, 1),): (40, 0)}
-    model = Model(seen)
+    model = Inference(seen)
     assert model.shares[A] == pytest.approx(0.9, abs=0.02)
     assert model.shares[B] < 0.02
     assert model.alone[A] == 90

@@ -75,7 +75,7 @@ def without(exposure: Exposure, bit: int) -> Exposure:
     return tuple(each for each in exposure if each[0] != bit)
 
 
-class Model:
+class Inference:
     """The probabilities that explain the outcomes of all trials of one node best."""
 
     def __init__(self, outcomes: Outcomes) -> None:

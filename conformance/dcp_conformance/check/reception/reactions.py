@@ -11,7 +11,7 @@ from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
 from .following import DELAYS, MOSTLY, Exposure, Kind, Proof, Station, Trial
-from .links import Link, Model, bits, reacts, without
+from .links import Inference, Link, bits, reacts, without
 from .observer import Observer
 from .tallies import UP, Gap, Tally
 from .unrecorded import Timeline, silent_senders
@@ -211,7 +211,7 @@ class Reception:
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
         """Infer the links to a node in this window."""
-        model = Model(_outcomes(trials))
+        model = Inference(_outcomes(trials))
         for bit, share in model.shares.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, model.lower_bound(bit)
@@ -220,7 +220,7 @@ class Reception:
 
     def _known(self, others: list[Trial]) -> _Known:
         """Infer the speakers that a node hears in a window from the trials of its groups without suspicion."""
-        model = Model(_outcomes(others))
+        model = Inference(_outcomes(others))
         shares = model.shares
         steady = {
             bit for bit, share in shares.items() if share >= _STEADY and model.lower_bound(bit, _LIKELY) >= _AS_GOOD

@@ -47,7 +47,7 @@ class Counter:
 
     @property
     def convincing(self) -> bool:
-        """Whether enough occasions were missed to rule out an exception."""
+        """Whether the node missed so many occasions that a single lost frame does not explain it."""
         if self.occasions < _OCCASIONS:
             return self.missed == self.occasions >= _FEWEST
         return self.missed >= _MISSED * self.occasions

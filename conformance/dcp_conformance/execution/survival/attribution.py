@@ -50,6 +50,8 @@ class Trial:
     """The stimulus that probably ended the implementation; None without any stimulus."""
     paused: bool = False
     """Whether BP was deactivated in the case."""
+    first: bool = False
+    """Whether it is the first execution since the implementation was restarted."""
     used_up: bool = False
     """Whether the case stopped because all identifiers that the implementation cannot know were used up."""
     detail: str = ""

@@ -46,15 +46,11 @@ def _hears(bench: Bench, node_id: bytes | None) -> None:
 
 def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
     """Return the entries of peers after all of them exist; inconclusive if one is not created."""
-    found: dict[bytes, dict[str, Any]] = {}
-    for _ in range(max(20, round(5 * bench.sut.reaction))):
-        found = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
-        if all(peer.node_id in found for peer in peers):
-            break
-        bench.wait(0.2)
-    else:
+    entries = {peer.node_id: until_neighbour(bench, peer.node_id) for peer in peers}
+    found = {node_id: entry for node_id, entry in entries.items() if entry is not None}
+    if len(found) < len(peers):
         bench.inconclusive("entries of all neighbours, which this case needs", f"{len(found)}")
-    return {peer.node_id: found[peer.node_id] for peer in peers}
+    return found
 
 
 @case(
