@@ -14,7 +14,7 @@ from typing import IO
 #: Maximum time in s for a command of the system.
 PATIENCE = 30.0
 # Of <linux/sched.h>.
-CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
+CLONE_NEWUSER, CLONE_NEWNET, CLONE_NEWIPC, CLONE_NEWNS = 0x10000000, 0x40000000, 0x08000000, 0x00020000
 #: The namespace of this thread.
 OWN = "/proc/thread-self/ns/net"
 
@@ -62,7 +62,7 @@ def unshare(flags: int) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(flags):
         reason = os.strerror(ctypes.get_errno())
-        raise NamespaceError(f"a network namespace cannot be made here ({reason}); as root it can")
+        raise NamespaceError(f"a namespace cannot be made here ({reason}); as root it can")
 
 
 @contextlib.contextmanager

@@ -249,7 +249,7 @@ def test_virtual_ethernet_without_privileges():
     assert not folder.exists()
     if about != "virtual Ethernet, in a network namespace of its own":
         # Some systems do not permit any user to.
-        assert about.startswith("UDP multicast over the loopback interface (a network namespace cannot be made here")
+        assert about.startswith("UDP multicast over the loopback interface (a namespace cannot be made here")
 
 
 @pytest.mark.parametrize("profile", ["student-2024", "sim-2.0", "dcp-1.0"])

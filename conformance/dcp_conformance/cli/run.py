@@ -53,7 +53,8 @@ if TYPE_CHECKING:
     "-j",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Number of concurrent processes of the reference node.  [default: three for each processor, 6 to 16]",
+    help="Number of nodes that are tested at the same time, each with a share of the cases. With --start: copies of "
+    "the implementation, in own namespaces (root).  [default: 1; reference node: three for each processor, 6 to 16]",
 )
 @click.option(
     "--side-by-side",

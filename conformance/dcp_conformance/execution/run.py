@@ -46,6 +46,8 @@ class WorkerEnd(NamedTuple):
     """True if the user caused the trouble, for example by an invalid option."""
     passive: tuple[CaseResult, ...] = ()
     """Results of the passive rules."""
+    alone: int = 0
+    """Number of cases that were executed side by side, and repeated alone."""
 
 
 class _Key(NamedTuple):
@@ -107,6 +109,8 @@ class ConformanceRun:
         self.command = command
         self.repeated_alone: dict[str, str] = {}
         """By case: why a case that was executed side by side was repeated alone."""
+        self._alone = 0
+        """Number of these cases whose verdict is that of the repetition."""
         self.results: list[CaseResult] = []
         """Results of the cases, in the order of their executions."""
         self.passive: list[CaseResult] = []
@@ -231,19 +235,24 @@ class ConformanceRun:
             # Keep the passes, and execute all other cases alone.
             self._faulty(error)
             self._notes.append(f"after it, {len(planned) - len(passed)} cases were executed one at a time")
-        if passed:
-            repeated = len(self.repeated_alone.keys() - passed)
-            beside = sum(result.side_by_side for result in passed.values())
-            self._notes.append(
-                f"{beside} cases passed while others were executed beside them, at most {self.side_by_side} at a "
-                f"time; {repeated} that did not pass were repeated alone, and have the verdict of the repetition"
-            )
-            if short := [result.short_period for result in passed.values() if result.short_period]:
-                self._notes.append(
-                    f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which "
-                    "saves time; their verdicts do not depend on it. --side-by-side 1 keeps the configured period"
-                )
+        self._alone = len(self.repeated_alone.keys() - passed)
         return [case for case in planned if case.id not in passed]
+
+    def _saved(self) -> list[str]:
+        """Return notes on the cases that were executed side by side, or with a shorter beacon period."""
+        found = []
+        if beside := sum(result.side_by_side for result in self.results):
+            found.append(
+                f"{beside} cases passed while others were executed beside them, at most {self.side_by_side} at a time; "
+                f"{self._alone} that did not pass were repeated alone, and have the verdict of the "
+                "repetition"
+            )
+        if short := [result.short_period for result in self.results if result.short_period]:
+            found.append(
+                f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which saves "
+                "time; their verdicts do not depend on it. --side-by-side 1 keeps the configured period"
+            )
+        return found
 
     def _absent(self) -> bool:
         """Return whether the implementation does not take part from the beginning, so that nothing can be judged."""
@@ -395,10 +404,16 @@ class ConformanceRun:
 
     # -- several workers -----------------------------------------------------------------------------------------------
 
+    def end(self) -> WorkerEnd:
+        """Return the last message of a worker that has executed its share."""
+        passive = tuple(self.passive)
+        return WorkerEnd(self._sut, tuple(self._notes), self.trouble, self.usage, passive, self._alone)
+
     def close_workers(self, ends: Sequence[WorkerEnd], workers: int, planned: Sequence[Case]) -> None:
         """Merge the last reports of all workers, add an error for each lost case, and sort the results."""
         self._sut = next((end.sut for end in ends if end.sut is not None), None)
-        self._notes += [note for end in ends for note in end.notes]
+        self._notes += dict.fromkeys(note for end in ends for note in end.notes)
+        self._alone = sum(end.alone for end in ends)
         if workers > 1:
             self._notes.append(f"{workers} nodes were tested side by side, each with a share of the cases")
         for end in ends:
@@ -430,7 +445,7 @@ class ConformanceRun:
 
     def result(self) -> RunResult:
         """Return all results and notes of the run, also if it could not begin."""
-        notes = [*self._notes, *([self.trouble] if self.trouble else [])]
+        notes = [*self._notes, *self._saved(), *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()
         found = [each for each in self.passive if each.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]

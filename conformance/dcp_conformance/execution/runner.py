@@ -336,9 +336,10 @@ class Runner:
             return trial, 0
         why, executions, recurred = trial.bench.verdicts.may_be_late, 0, 0
         while why and recurred < CONFIRMATIONS:
-            again = self._trial(trial.case)
-            if again.used_up and self.session.renewable:
-                again = self._trial_after_restart(again)
+            with self._provisionally():
+                again = self._trial(trial.case)
+                if again.used_up and self.session.renewable:
+                    again = self._trial_after_restart(again)
             executions += 1
             if again.loss is not None:
                 return again, executions
@@ -384,9 +385,11 @@ class Runner:
         self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
     def _needs_no_confirmation(self, trial: Trial) -> bool:
-        """Return whether no other case can be the cause of a death, and several have died so in two executions each."""
+        """Return whether no other case can be the cause of a loss, and several had the same in two executions each."""
         loss = trial.loss
-        return loss is not None and loss.died and trial.first and len(self._deaths.get(loss.group, ())) >= _KNOWN
+        if loss is None or loss.doubtful or loss.upper_only or not trial.first:
+            return False
+        return len(self._deaths.get(loss.group, ())) >= _KNOWN
 
     def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
         """Attribute a loss to a case; return the result of the case after which the loss was found."""
@@ -463,6 +466,15 @@ class Runner:
                     for check in trial.checks
                 ]
 
+    @contextmanager
+    def _provisionally(self) -> Iterator[None]:
+        """Execute cases in the block of which only a pass, or the end of the implementation, counts."""
+        self.session.provisional = True
+        try:
+            yield
+        finally:
+            self.session.provisional = False
+
     def _measure(self) -> None:
         """Measure the reaction time before the first case, and a second time once the implementation has answered."""
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
@@ -522,7 +534,8 @@ class Runner:
         """
         if self.dead or self._unsettled:
             return None
-        trial = self._trial(case)
+        with self._provisionally():
+            trial = self._trial(case)
         if trial.loss is not None:
             self._recent.clear()
             if not self._restartable:
@@ -553,7 +566,8 @@ class Runner:
         """
         if self.dead:
             return None
-        trial = self._trial(case)
+        with self._provisionally():
+            trial = self._trial(case)
         if trial.loss is None:
             good = trial.verdict is Verdict.PASS and not trial.bench.restoration.restore_failure
             return self._result(trial, 1, trial.checks) if good and not trial.disturbed else None

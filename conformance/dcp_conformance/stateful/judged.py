@@ -1,4 +1,7 @@
-"""Judge a sequence on the bench of a case: a counterexample counts if it is seen again, and is made shorter."""
+"""Judge a sequence on the bench of a case: a counterexample counts if it is seen again, and is made shorter.
+
+Only the first of several counterexamples with the same observation is made shorter, because that takes many executions.
+"""
 
 from __future__ import annotations
 
@@ -48,15 +51,19 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     if first.finding.about == "format":
         # Neither a repetition nor fewer steps can decide it.
         bench.inconclusive("beacons that can be read", f"{first.finding.observed}: {UNREADABLE}")
-    for _ in range(2):
+    for _ in range(0 if bench.session.provisional else 2):
         again = execute(bench, found.steps, alone=alone)
         if again is None or again.finding.requirements != first.finding.requirements:
             bench.inconclusive(
                 expected, f"{first.finding.observed}, but not in another execution", *first.finding.requirements
             )
         found = again
-    found = shorter(partial(execute, bench, alone=alone), found, attempts=ATTEMPTS)
     finding = found.finding
+    cause = (*finding.requirements, finding.expected, finding.observed)
+    if not bench.session.provisional and cause not in bench.session.counterexamples:
+        bench.session.counterexamples.add(cause)
+        found = shorter(partial(execute, bench, alone=alone), found, attempts=ATTEMPTS)
+        finding = found.finding
     if finding.about == "creationTime":
         bench.excuses.relies_on("creationTime")
     shown = "\n".join(table(found.rows))

@@ -97,6 +97,10 @@ class Session:
         """Durations in ns of the last calls of the upper tester that were executed."""
         self.beside = False
         """Whether a case is executed beside others, whose payloads share the beacons with its own."""
+        self.provisional = False
+        """Whether only a pass of the present execution counts: with another verdict the case is executed again."""
+        self.counterexamples: set[tuple[str, ...]] = set()
+        """The counterexamples that were made shorter: requirements, expectation and observation."""
         self.notifications = 0
         """The time in ns by which notifications are late."""
         self.consumer_scrubs = ""

@@ -422,10 +422,10 @@ class TestLanes:
             (TargetOptions(), ("BP-HDR-0*",), 1, 1),
             (TargetOptions(), (ONE,), 4, 1),
             (TargetOptions(in_process=True), (), 4, 1),
-            (TargetOptions(link="udp"), (), 4, 1),
+            (TargetOptions(link="udp"), (), None, 1),
         ],
     )
-    def test_there_are_at_most_as_many_lanes_as_cases(self, target, patterns, jobs: int, workers: int):
+    def test_there_are_at_most_as_many_lanes_as_cases(self, target, patterns, jobs: int | None, workers: int):
         assert workers_for(ConformanceRun(target, Selection(patterns=patterns)), jobs) == workers
 
     def test_the_sanity_case_alone_stays_alone(self, options: TargetOptions):

@@ -112,6 +112,7 @@ class SharedSession(Session):
             lower=link,
             upper=upper,
             beside=True,
+            provisional=True,
             _base=base,
             call_times=deque(base.call_times, base.call_times.maxlen),
         )

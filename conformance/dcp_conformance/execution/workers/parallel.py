@@ -1,12 +1,13 @@
 """Execute one run in several worker processes, each with its own node and a share of the cases.
 
-Cases wait most of the time, so that many workers need few processors. Only the reference node can run several times;
-another implementation exists only once.
+Cases wait most of the time, so that many workers need few processors. An implementation of the user runs several times
+only if the user asks for it (:mod:`.copies`).
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import multiprocessing
 import os
 import signal
@@ -20,11 +21,14 @@ import msgspec
 
 from dcp_codec.common.signals import deferred
 from dcp_codec.common.workers import Worker
+from dcp_codec.network.namespaces import NamespaceError
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.results import CaseResult
+
+from .copies import Cable, cable_of, enter
 
 
 class Revised(NamedTuple):
@@ -37,16 +41,22 @@ class Revised(NamedTuple):
 def workers_for(run: ConformanceRun, jobs: int | None = None) -> int:
     """Return the number of workers for a run, at most ``jobs`` and at most the number of cases.
 
-    It is 1 unless the reference node is tested in separate processes. ``jobs`` defaults to three for each processor,
-    but 6 to 16: a worker needs a twentieth of a processor, but a second of processor time to start.
+    For the reference node in processes ``jobs`` defaults to three for each processor, but 6 to 16: a worker needs a
+    twentieth of a processor, but a second of processor time to start. Otherwise it defaults to 1.
     """
     options = run.options
-    jobs = jobs or min(16, max(6, 3 * (os.cpu_count() or 1)))
-    return 1 if options.foreign or options.in_process else max(1, min(jobs, len(run.selected)))
+    if options.in_process:
+        return 1
+    jobs = jobs or (1 if options.foreign else min(16, max(6, 3 * (os.cpu_count() or 1))))
+    return max(1, min(jobs, len(run.selected)))
 
 
 def run_in_workers(run: ConformanceRun, workers: int) -> None:
-    """Run the selected cases of ``run`` in ``workers`` processes, and add each result to ``run`` when it arrives."""
+    """Run the selected cases of ``run`` in ``workers`` processes, and add each result to ``run`` when it arrives.
+
+    Raises :class:`UsageError` if an implementation of the user cannot run several times.
+    """
+    cable = cable_of(run.options) if run.options.foreign else None
     # Every worker begins with the sanity case, also if no other case is selected.
     cases = [case.id for case in run.selected if case.base != SANITY] or [SANITY]
     workers = max(1, min(workers, len(cases)))
@@ -59,9 +69,12 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
         run.on_start(len(cases))
     with contextlib.ExitStack() as stack:
         connections: dict[Connection, Worker] = {}
-        for share in shares:
-            options = (run.options, _selection(run, share), run.repeat, run.max_fails, run.artefacts)
-            worker = Worker(context, _execute_share, *options)
+        for number, share in enumerate(shares, 1):
+            target = run.options
+            if target.output is not None:
+                target = dataclasses.replace(target, output=target.output.with_stem(f"{target.output.stem}-{number}"))
+            how = _How(run.repeat, run.max_fails, run.side_by_side, run.artefacts, cable)
+            worker = Worker(context, _execute_share, target, _selection(run, share), how)
             stack.callback(worker.end, terminate=True)
             connections[worker.connection] = worker
         ends: list[WorkerEnd] = []
@@ -114,14 +127,18 @@ def messages(connections: dict[Connection, Worker]) -> Iterator[Any]:
             yield message
 
 
-def _execute_share(
-    to: Connection,
-    options: TargetOptions,
-    selection: Selection,
-    repeat: int,
-    max_fails: int,
-    artefacts: Path | None,
-) -> None:
+class _How(NamedTuple):
+    """How a worker executes its share; see :class:`ConformanceRun`."""
+
+    repeat: int
+    max_fails: int
+    side_by_side: int
+    artefacts: Path | None
+    cable: Cable | None
+    """The cable of an implementation of the user, which the worker starts in namespaces of its own."""
+
+
+def _execute_share(to: Connection, options: TargetOptions, selection: Selection, how: _How) -> None:
     """Execute one share of the cases and send the results: the main function of a worker process."""
     # Ctrl-C is sent to the whole process group; the parent handles it and ends the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -136,18 +153,22 @@ def _execute_share(
             sent.add((result.id, result.attempt))
             to.send(msgspec.json.encode(result))
 
-    run = ConformanceRun(
-        options,
-        selection,
-        repeat=repeat,
-        max_fails=max_fails,
-        artefacts=artefacts,
-        on_result=report,
-    )
     try:
+        if how.cable is not None:
+            enter(how.cable, options.output and options.output.parent)
+        run = ConformanceRun(
+            options,
+            selection,
+            repeat=how.repeat,
+            max_fails=how.max_fails,
+            artefacts=how.artefacts,
+            side_by_side=how.side_by_side,
+            on_result=report,
+        )
         run.execute(lambda result: to.send(Revised(msgspec.json.encode(result))))
-        about = run.result()
-        to.send(WorkerEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
+        to.send(run.end())
+    except NamespaceError as error:
+        to.send(WorkerEnd(None, (), f"--jobs: {error}", usage=True))
     except (BrokenPipeError, KeyboardInterrupt):
         # The parent has ended, or has ended the worker.
         return

@@ -54,9 +54,7 @@ class Worker(Driver):
         if self.run.results:
             self.run.finish()
         self.run.close()
-        result = self.run.result()
-        about = WorkerEnd(result.sut, result.notes, self.run.trouble, self.run.usage, tuple(self.run.passive))
-        self._output[_END] = msgspec.json.encode(End(about, tuple(self._revised))).decode()
+        self._output[_END] = msgspec.json.encode(End(self.run.end(), tuple(self._revised))).decode()
 
 
 class Controller(Driver):
