@@ -235,6 +235,42 @@ def test_a_known_death_right_after_a_start_needs_no_second_execution():
     assert [*counts, sut.restarts - before] == [2, 2, 1, 1, 1, 2]
 
 
+class Hanging(Counted):
+    """Neither sends nor receives any more after a case has hung it up; its process runs."""
+
+    hung = False
+
+    def send(self, octets: bytes) -> None:
+        if not self.hung:
+            super().send(octets)
+
+    def deliver(self, octets: bytes) -> None:
+        if not self.hung:
+            super().deliver(octets)
+
+    def restart(self) -> None:
+        self.hung = False
+        super().restart()
+
+
+def test_a_known_silence_right_after_a_start_needs_no_second_execution():
+    sut = Hanging(reference_config(codec_of("dcp-2.0")))
+
+    def deadly(bench: Bench) -> None:
+        sut.hung = True
+        bench.passed("the case ends")
+
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics()), sut)
+    runner.prepare()
+    assert runner.run(known_cases()[NEXT]).verdict is Verdict.PASS
+    counts = []
+    for _ in range(4):
+        before = sut.restarts
+        assert runner.run(case_of(deadly)).killed
+        counts.append(sut.restarts - before)
+    assert counts == [2, 2, 1, 1]
+
+
 class Renamed(InProcess):
     """Draws a new identifier with each start, as a node does that was not given one."""
 

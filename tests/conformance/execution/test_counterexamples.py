@@ -1,0 +1,42 @@
+"""How often a sequence of the model is executed until its counterexample counts."""
+
+from __future__ import annotations
+
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.stateful import judged
+from dcp_conformance.test_system.bench import Session
+from dcp_selftest.mutants import all_mutants
+
+from ..rig import codec_of, known_cases
+
+#: Two sequences that show the same wrong status of a mutant.
+MUTANT = "M-BP-TXP-02-no-limit"
+ONE, TWO = (f"TC_DCP_MODEL_BV_01-registrations-{number}" for number in (11, 15))
+
+
+def test_only_the_first_of_equal_counterexamples_is_made_shorter_and_none_that_does_not_count(monkeypatch) -> None:
+    executed: list[int] = []
+
+    def execute(bench, steps, *, alone):
+        executed.append(len(steps))
+        return plain(bench, steps, alone=alone)
+
+    plain = judged.execute
+    monkeypatch.setattr(judged, "execute", execute)
+    sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()[MUTANT].make)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+
+    assert runner.attempt(known_cases()[ONE]) is None
+    assert len(executed) == 1
+    executed.clear()
+    first = runner.run(known_cases()[ONE])
+    assert 3 < len(executed) <= 3 + judged.ATTEMPTS
+    assert min(executed) < executed[0]
+    executed.clear()
+    second = runner.run(known_cases()[TWO])
+    assert len(executed) == 3
+    assert first.verdict is second.verdict is Verdict.FAIL
