@@ -22,6 +22,8 @@ _PARAMETERS: Final = (
 )  # fmt: skip
 #: Those that decide statuses and contents.
 _DECIDING: Final = frozenset(_PARAMETERS) - {"BPPAR_BEACON_PERIOD", "BPPAR_NETWORK_ID"}
+#: Creation times from this one on are an hour ahead.
+_LATER: Final = 8
 _HOUR: Final = 3_600
 
 
@@ -35,6 +37,8 @@ class BenchNames:
         self._protocols: dict[int, int] = {}
         self._base = bench.records.creation_time()
         self._unit = bench.profile.types.timestamp.per_second
+        self._late = False
+        """Whether a creation time is an hour ahead."""
 
     def protocol(self, number: int) -> int:
         """Return the identifier of a protocol that is not registered."""
@@ -48,6 +52,8 @@ class BenchNames:
         """Return the identifier of a variable that was never used before."""
         if number not in self._variables:
             self._variables[number] = self._bench.identifiers.own_var_id()
+            if self._late:
+                self._bench.identifiers.created_by_others(self._variables[number])
         return self._variables[number]
 
     def neighbour(self, number: int) -> tuple[bytes, bytes]:
@@ -68,8 +74,12 @@ class BenchNames:
         if number == EPOCH:
             return 0
         found = self._base + max(1, self._unit // 1000) * number
-        if number >= 8:
-            found += _HOUR * self._unit
+        if number >= _LATER:
+            # Later cases do not have such times, so they must not have these variables either.
+            self._late = True
+            for each in self._variables.values():
+                self._bench.identifiers.created_by_others(each)
+            return found + _HOUR * self._unit
         self._bench.session.creation_time = max(self._bench.session.creation_time, found)
         return found
 
