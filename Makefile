@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
-.PHONY: docs man demo test test-all test-computing test-suite test-tools test-tables test-links test-c-node \
+.PHONY: docs man demo test test-all test-computing test-waiting test-suite test-tools test-tables test-links test-c-node \
         test-versions test-lowest test-fresh test-repeat lint release picture bench bench-columns bench-fuzz matrix \
         selftest-doc clean
 
@@ -40,14 +40,17 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# The suite against the node in C waits most of the time, so that it runs beside the parts that compute.
+# Tests in real time wait most of the time, so that they run beside the parts that compute, which give way to them.
 test-all: $(STAMP) $(KAITAI)
-	$(MAKE) -j2 --output-sync=target test-computing test-c-node
-	$(MAKE) test-links
+	$(MAKE) -j2 --output-sync=target test-computing test-waiting
 
 # Three parts in one run: importing the tests for each part takes long. Neighbouring tests share fixtures of a worker.
 test-computing: $(STAMP) $(KAITAI)
-	$(PYTEST) --dist worksteal --part=suite --part=tools --part=tables
+	nice $(PYTEST) --dist worksteal --part=suite --part=tools --part=tables
+
+test-waiting: $(STAMP)
+	$(MAKE) test-links
+	$(MAKE) test-c-node
 
 test-tools: $(KAITAI)
 

@@ -271,8 +271,7 @@ def test_the_matrix_does_not_depend_on_time_and_names_survivors():
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.part("suite")
-@pytest.mark.usefixtures("sampled")
+@pytest.mark.usefixtures("few_cases")
 @pytest.mark.parametrize("width", [60, 160])
 def test_command(tmp_path, width):
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path)]
@@ -300,9 +299,8 @@ def test_command_reports_unknown_mutants():
         CliRunner().invoke(command, ["M-nothing"], standalone_mode=False, catch_exceptions=False)
 
 
-@pytest.mark.part("suite")
-@pytest.mark.usefixtures("sampled")
-def test_command_reports_an_unwritable_file(tmp_path):
+def test_command_reports_an_unwritable_file_before_it_begins(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "selftest", None)
     (tmp_path / "file").write_text("")
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path / "file")]
     with pytest.raises(UsageError, match="cannot be written"):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from dcp_selftest.document import SECTIONS, DocumentError, section_of, with_section, write_section
+from dcp_selftest.variants import campaign
 
 from ..conformance.command import Command
 
@@ -63,7 +64,7 @@ def test_a_document_that_is_missing_is_made(tmp_path: Path):
     assert section_of(path.read_text(encoding="utf-8"), "generated") == "## Generated"
 
 
-@pytest.mark.part("suite")
+@pytest.mark.usefixtures("few_cases")
 def test_both_commands_write_into_one_document(tmp_path: Path, dcp_selftest: Command):
     path = tmp_path / "selftest.md"
     for words in (["mutants", "M-BP-HDR-01-two"], ["variants", "V-X27-*"], ["mutants", "M-BP-HDR-02-swapped"]):
@@ -75,8 +76,8 @@ def test_both_commands_write_into_one_document(tmp_path: Path, dcp_selftest: Com
     assert "`V-X27-" in section_of(text, "variants")
 
 
-@pytest.mark.part("suite")
-def test_a_broken_document_is_wrong_usage(tmp_path: Path, dcp_selftest: Command):
+def test_a_broken_document_is_wrong_usage_before_anything_is_tried(tmp_path: Path, dcp_selftest: Command, monkeypatch):
+    monkeypatch.setattr(campaign, "run", None)
     path = tmp_path / "selftest.md"
     path.write_text("<!-- section: variants -->\n", encoding="utf-8")
     done = dcp_selftest("variants", "V-X27-*", "--profile", "dcp-2.0", "--jobs", "1", "-q", "--document", path)

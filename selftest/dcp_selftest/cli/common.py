@@ -21,12 +21,45 @@ jobs_option = click.option(
     metavar="N",
     help="Number of concurrent processes.  [default: one for each processor]",
 )
+
+
+def _folder(_context: click.Context, _option: click.Parameter, folder: Path | None) -> Path | None:
+    """Refuse a folder that cannot be made, before anything is computed."""
+    for each in () if folder is None else (folder, *folder.parents):
+        if each.exists():
+            if not each.is_dir():
+                raise UsageError(f"{each}: cannot be written: it is not a folder")
+            break
+    return folder
+
+
+def _document(_context: click.Context, _option: click.Parameter, document: Path | None) -> Path | None:
+    """Refuse a document in which no section can be replaced, before anything is computed."""
+    if document is not None and document.exists():
+        from dcp_selftest.document import SECTIONS, DocumentError, section_of
+
+        try:
+            text = document.read_text(encoding="utf-8")
+            for name in SECTIONS:
+                section_of(text, name)
+        except (DocumentError, UnicodeDecodeError) as error:
+            raise UsageError(f"{document}: {error}") from None
+        except OSError as error:
+            raise UsageError(f"{document}: cannot be read: {error.strerror or error}") from None
+    return document
+
+
 report_option = click.option(
-    "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the result there (JSON)."
+    "--report-dir",
+    type=click.Path(path_type=Path),
+    callback=_folder,
+    metavar="DIR",
+    help="Write the result there (JSON).",
 )
 document_option = click.option(
     "--document",
     type=click.Path(dir_okay=False, path_type=Path),
+    callback=_document,
     metavar="FILE",
     help="Write the table of this command into its section of FILE (Markdown).",
 )
