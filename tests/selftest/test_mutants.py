@@ -210,7 +210,7 @@ def test_mutants_are_chosen_by_name_requirement_or_glob():
         chosen(["M-nothing"])
 
 
-@pytest.mark.part("suite")
+@pytest.mark.usefixtures("few_cases")
 def test_a_mutant_is_tried_on_versions_where_it_is_a_fault():
     old = MUTANTS["M-VD-RU-05-requested"]
     assert old.profile == "dcp-1.0"
