@@ -6,6 +6,7 @@ Offsets are those of the header of 2.0 with the profile ``dcp-2.0``.
 from __future__ import annotations
 
 import random
+import re
 from typing import Any
 
 import msgspec
@@ -591,3 +592,8 @@ class LosesOneBlock(Rebuilds):
 
 def test_a_block_that_is_lost_once_is_sent_again() -> None:
     assert one_case("TC_BP_RXP_BV_03-1-1-1-1", make=LosesOneBlock).verdict is Verdict.PASS
+
+
+def test_a_wrong_period_is_described_in_words() -> None:
+    result = one_case("TC_BP_TX_TI_01", "dcp-2.0", SlowBeacons)
+    assert re.search(r": a mean of \d+\.\d\d ms ± \d+\.\d\d ms \(\d+ intervals, 99 % confidence\)", result.reason)

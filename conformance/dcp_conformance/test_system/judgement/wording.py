@@ -31,7 +31,7 @@ def content(value: object) -> str:
         return content(value.record)
     if isinstance(value, ReceivedBeacon):
         return f"{value.problem or 'a beacon'}"
-    if isinstance(value, tuple):
+    if isinstance(value, tuple) and type(value).__str__ is object.__str__:
         return f"({', '.join(map(content, value))})"
     if isinstance(value, msgspec.Struct):
         # Records have numbers, octets and other records only, so that these are literals.
