@@ -73,7 +73,7 @@ def test_copies_have_the_verdicts_of_one_node(namespace, tmp_path):
         (("--interface", "nothing", "--start", "true"), "ip -json -details link show dev nothing"),
     ],
 )
-def test_what_cannot_be_copied_is_refused(namespace, tmp_path, options, why):
+def test_an_implementation_that_cannot_be_copied_is_refused(namespace, tmp_path, options, why):
     done = run(namespace, tmp_path, *options, "--jobs", "2")
     assert done.returncode == 2
     assert why in " ".join((done.stdout + done.stderr).split())

@@ -30,7 +30,7 @@ class Cable(NamedTuple):
 
 
 def cable_of(options: TargetOptions) -> Cable:
-    """Return the cable that each copy of the implementation gets anew.
+    """Return the cable that has a counterpart for each copy of the implementation.
 
     Raises :class:`UsageError` if the options or this machine do not permit copies.
     """
