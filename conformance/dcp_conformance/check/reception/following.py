@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
+import msgspec
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.statements import Statement
@@ -165,28 +166,13 @@ class Population:
     """The nodes that may have known variables before their first beacon in the recording."""
 
 
-class Event(NamedTuple):
-    """A record that demands a reaction from the nodes that hear it."""
-
-    whom: int
-    """The nodes that must react, as a mask of bits."""
-    speaker: int
-    """The bit of its sender."""
-    due: tuple[Kind, int]
-    """The reaction, and the variable."""
-    cause: Statement
-    """The record."""
-    late_half: bool
-    """Whether the record is in the second half of its payload."""
-    length: int
-    """Length of the VarDis payload in octets."""
-    time: int
-    """ns of :attr:`Observer.time`."""
-    frame: int
-    """Number of the frame; negative if it has errors."""
+Event = tuple[int, int, tuple[Kind, int], Statement, bool, int, int, int]
+"""A record that demands a reaction: the nodes that must react, as a mask of bits; the bit of its sender; the reaction
+and the variable; the record; whether it is in the second half of its payload; the length of the VarDis payload in
+octets; the time in ns of :attr:`Observer.time`; the number of the frame, negative if it has errors."""
 
 
-class Trial(NamedTuple):
+class Trial(msgspec.Struct, frozen=True, gc=False):
     """An occasion with a known outcome."""
 
     time: int

@@ -121,11 +121,13 @@ class Observer:
         station.beacons += 1
         station.times.append(self.time)
         length = len(seen.heard.octets)
-        asked = self._settle(station, seen)
+        self._settle(station, seen)
         if station.open or station.waiting:
-            self._decide(station, seen, asked, length)
+            self._decide(station, seen, length)
         station.longest = max(station.longest, length)
         self._occasions(station, seen)
+        # Its own records demand nothing from it.
+        station.cursor = self._dropped + len(self._log)
 
     def _station(self, seen: Seen) -> Station | None:
         """Return the sender of a beacon, brought up to date after a restart or a gap; None if it is not followed."""
@@ -237,19 +239,14 @@ class Observer:
 
     # -- reactions -----------------------------------------------------------------------------------------------------
 
-    def _settle(self, station: Station, seen: Seen) -> set[tuple[int, int]]:
-        """Process the records of a node's own beacon as reactions and as new statements.
-
-        Return the records other than repeated summaries, as (variable, kind).
-        """
-        stated: set[tuple[int, int]] = set()
+    def _settle(self, station: Station, seen: Seen) -> None:
+        """Process the records of a node's own beacon as reactions and as new statements."""
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             variable = self.variables.get(var_id) or self._variable(var_id)
             if variable is None:
                 continue
             opened = station.open.get(var_id)
-            stated.add((var_id, kind))
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 self._states(station, variable, each, opened)
             elif kind is DELETE:
@@ -265,10 +262,9 @@ class Observer:
                 self._hit(station, variable, each, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
                 if not opened:
                     station.open.pop(var_id, None)
-        for kind, _, ids in seen.parts:
+        for kind, _, ids, _ in seen.parts:
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 station.stated_at.update(dict.fromkeys(ids, station.beacons))
-        return stated
 
     def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
         """Process a create, update or summary: a node states the number of a variable."""
@@ -415,10 +411,11 @@ class Observer:
 
     # -- missing reactions ---------------------------------------------------------------------------------------------
 
-    def _decide(self, station: Station, seen: Seen, stated: set[tuple[int, int]], length: int) -> None:
+    def _decide(self, station: Station, seen: Seen, length: int) -> None:
         """Report the overdue occasions that this beacon of the node excludes."""
         opened_of, now = station.open, station.beacons
-        for part, _, ids in seen.parts:
+        stated: set[tuple[int, int]] = {(each.var_id, each.kind) for each, _ in seen.news}
+        for part, _, ids, _ in seen.parts:
             if part is not SUMMARY and part is not UPDATE and part is not CREATE:
                 continue
             for var_id in [each for each in ids if each in opened_of]:
@@ -491,7 +488,7 @@ class Observer:
         # A beacon may have several records of one variable: process all of them if one is new.
         wanted = {each.var_id for each, _ in seen.news}
         wanted |= self._unsettled
-        for place, (kind, records, ids) in enumerate(seen.parts):
+        for place, (kind, records, ids, numbers) in enumerate(seen.parts):
             if wanted.isdisjoint(ids):
                 continue
             for index, var_id in enumerate(ids):
@@ -502,11 +499,7 @@ class Observer:
                     continue
                 if kind is UPDATE or kind is SUMMARY:
                     holders = variable.holders
-                    if (
-                        len(holders) == 1
-                        and records[index].seqno in holders
-                        and variable.known.bit_count() >= everybody
-                    ):
+                    if len(holders) == 1 and numbers[index] in holders and variable.known.bit_count() >= everybody:
                         # All nodes have this number.
                         continue
                 statement: Statement | None = None
@@ -517,9 +510,7 @@ class Observer:
                         statement = statement_of(kind, records[index], seen.heard, seen.sender)
                     late_half = 2 * begins[place][index] >= total
                     frame = seen.number if seen.sound else -seen.number
-                    self._log.append(
-                        Event(whom, speaker.bit, (due, var_id), statement, late_half, total, self.time, frame)
-                    )
+                    self._log.append((whom, speaker.bit, (due, var_id), statement, late_half, total, self.time, frame))
         if len(self._log) > _EVENTS:
             for station in self.stations.values():
                 self._catch_up(station)
@@ -531,9 +522,7 @@ class Observer:
         log, bit, hears = self._log, station.bit, station.hears
         intervals: dict[tuple[Kind, int], Interval | None] = {}
         """Kind and variable -> the interval since the node's last beacon; None if the events do not count."""
-        for event in log[station.cursor - self._dropped :]:
-            if not (event[0] & bit and event[1] & hears):
-                continue
+        for event in [each for each in log[station.cursor - self._dropped :] if each[0] & bit and each[1] & hears]:
             _, speaker, key, cause, late_half, length, time, frame = event
             last = intervals.get(key, _OPENING)
             if last is _OPENING:

@@ -44,7 +44,7 @@ class RecordSizes:
         """Return the offsets of the records of each part in the VarDis payload, and the payload's size, in octets."""
         position, before = 0, None
         starts: list[range | list[int]] = []
-        for kind, records, _ in parts:
+        for kind, records, _, _ in parts:
             if kind is not before:
                 position += self._header
                 before = kind

@@ -96,7 +96,7 @@ def _doubtful(seen: Seen) -> bool:
     for payload in beacon.payloads:
         if not payload.content:
             return True
-    for kind, records, ids in seen.parts:
+    for kind, records, ids, _ in seen.parts:
         if len(set(ids)) < len(ids):
             return True
         if kind is CREATE:

@@ -106,7 +106,7 @@ class Backed(Invariant):
                         unbacked = self._unbacked[seen.sender] = {}
                     unbacked[var_id] = _Unbacked(entry, before, each)
         summaries = 0
-        for kind, records, ids in seen.parts:
+        for kind, records, ids, _ in seen.parts:
             if kind is SUMMARY:
                 summaries += len(ids)
                 if unbacked and room and not unbacked.keys().isdisjoint(ids):
