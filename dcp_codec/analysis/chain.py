@@ -39,21 +39,26 @@ def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hea
         best: tuple[Stamp, Entry] | None = None
         frames, node, frame, least = 0, each.node, (each.frame,), each.time - _RECENT
         if each.number >= 0 and producers.get(each.var_id) != node:
-            heard, gone = known.setdefault(node, {}), []
+            heard, gone = known.setdefault(node, {node: False}), []
             for who, other in others.items():
                 # Numbers are used again: the node that sent the value still states it, or did so shortly before.
                 if other.until < least:
                     gone.append(who)
                     continue
-                carried = other.carried
-                if who == node or not carried:
-                    continue
                 if (may := heard.get(who)) is None:
                     may = heard[who] = hears(node, who) is not False
-                before = (len(carried) if carried[-1] < frame else bisect_left(carried, frame)) if may else 0
-                frames += before
-                if before and (best is None or carried[before - 1] > best[0]):
-                    best = carried[before - 1], other
+                if not may or not (carried := other.carried):
+                    continue
+                latest = carried[-1]
+                if latest < frame:
+                    frames += len(carried)
+                elif before := bisect_left(carried, frame):
+                    frames += before
+                    latest = carried[before - 1]
+                else:
+                    continue
+                if best is None or latest > best[0]:
+                    best = latest, other
             for who in gone:
                 del others[who]
         hops.append(Hop(each, None, None, 0) if best is None else Hop(each, best[1], best[0], frames))

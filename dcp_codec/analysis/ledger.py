@@ -34,6 +34,8 @@ DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDA
 MOST_PAIRS, MOST_ENTRIES = 1 << 18, 60_000
 #: Maximum number of stale states that are kept.
 _STALE = 10_000
+#: Maximum number of parts with summaries that are kept.
+_PARTS = 512
 _BY_VARIABLE = attrgetter("var_id", "time", "frame")
 
 
@@ -58,22 +60,32 @@ News = tuple[Statement, Statement | None]
 create, update or summary of the variable: None if there is none, if beacons of the node are missing since then, or if
 the node has deleted the variable since then."""
 
-Part = tuple[ICType, Sequence[Any], list[int], list[int]]
-"""The type and the records of a container, their variable identifiers in the same order, and their sequence numbers
-(none for deletes and requests for creates)."""
+Part = tuple[ICType, Sequence[Any], list[int], list[int], dict[int, int]]
+"""The type and the records of a container, their variable identifiers in the same order, their sequence numbers (-1 for
+deletes and requests for creates), and the last number by variable."""
+
+_known: dict[int, Part] = {}
+"""By the ``id`` of the records: parts with summaries, whose records the decoder returns again for equal octets. A part
+refers to its records, so that no other object has their ``id``."""
 
 
 def part_of(records: Sequence[Any]) -> Part | None:
     """Return the records of a container; None for an empty one, and for a type that a profile adds."""
+    if (part := _known.get(id(records))) is not None:
+        return part
     if not records or (kind := records[0].IC_TYPE) is None:
         return None
     if kind is CREATE:
-        return kind, records, [each.spec.var_id for each in records], [each.upd.seqno for each in records]
-    return kind, records, [each.var_id for each in records], _numbers(kind, records)
-
-
-def _numbers(kind: ICType, records: Sequence[Any]) -> list[int]:
-    return [] if kind is DELETE or kind is ASK_CREATE else [each.seqno for each in records]
+        ids, numbers = [each.spec.var_id for each in records], [each.upd.seqno for each in records]
+    else:
+        ids = [each.var_id for each in records]
+        numbers = [-1] * len(ids) if kind is DELETE or kind is ASK_CREATE else [each.seqno for each in records]
+    part = kind, records, ids, numbers, dict(zip(ids, numbers, strict=True))
+    if kind is SUMMARY:
+        if len(_known) >= _PARTS:
+            _known.clear()
+        _known[id(records)] = part
+    return part
 
 
 def parts_of(beacon: Beacon) -> list[Part]:
@@ -165,7 +177,7 @@ class Ledger:
             self._forget(voice, unbroken)
         numbers, stamp, count = voice.numbers, (frame, time), 0
         news: list[News] = []
-        for kind, records, ids, numbers_now in parts:
+        for kind, records, ids, numbers_now, _ in parts:
             if kind is not SUMMARY:
                 for each in records:
                     news.append(self._news(statement(kind, each, frame, time, node), voice))
@@ -377,8 +389,14 @@ class Ledger:
 
     def entries(self, var_id: int | None = None) -> list[Entry]:
         """Return the states of a variable (default: all) at all nodes, in the order of time."""
-        found = [each for each in (*self._ended, *self._present()) if var_id is None or each.var_id == var_id]
+        found = [*self._ended, *self._present(var_id)]
+        if var_id is not None:
+            found = [each for each in found if each.var_id == var_id]
         return sorted(found, key=attrgetter("time", "frame"))
+
+    def count(self) -> int:
+        """Return the number of states with a sequence number."""
+        return sum([each.number >= 0 for each in self._ended]) + sum(voice.held for voice in self._voices.values())
 
     @property
     def compared(self) -> frozenset[int]:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Final
 
 #: Number of new objects (that can be part of a cycle) between two collections; Python's default is 700.
-_OBJECTS: Final = 50_000
+_OBJECTS: Final = 200_000
 
 
 @contextmanager

@@ -119,7 +119,7 @@ class Seen:
         if self._statements is None:
             found = [
                 statement_of(kind, each, self.heard, self.sender)
-                for kind, records, _, _ in self.parts
+                for kind, records, _, _, _ in self.parts
                 for each in records
             ]
             self._statements = tuple(found)

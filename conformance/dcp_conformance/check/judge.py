@@ -59,9 +59,10 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_dialogue.RULES,
     *rules_network.RULES,
 )
-#: The rules about reactions, and those that need neither the ledger nor previous records of a node.
+#: The rules about reactions, and with them so many others that need neither the ledger nor previous records of a node
+#: that each of two processes has half of the work (:mod:`.sharing`).
 OF_REACTIONS = frozenset(rule for rule in RULES if rule.of_reactions)
-WITHOUT_LEDGER = OF_REACTIONS.union(rules_data.RULES, rules_srp.RULES, rules_vardis.RULES)
+WITHOUT_LEDGER = OF_REACTIONS.union(rules_data.RULES, rules_vardis.RULES)
 _STIMULUS: Final = "none: the recording is judged unchanged"
 #: Minimum number of beacons in the recording for the verdict pass.
 LEAST_BEACONS: Final = 30

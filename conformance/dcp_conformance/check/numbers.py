@@ -30,7 +30,7 @@ class Numbers:
             self._of[node] = unbroken, numbers
         before, count = len(numbers), 0
         news: list[News] = []
-        for kind, records, ids, stated in parts:
+        for kind, records, ids, stated, _ in parts:
             if kind is SUMMARY and [*map(numbers.get, ids)] == stated:
                 count += len(ids)
                 continue

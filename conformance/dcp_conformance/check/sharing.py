@@ -1,7 +1,7 @@
 """Judge a long recording in two processes: one keeps the ledger and makes the result, the other one does without it.
 
-Both read the file and decode it. The process without a ledger applies the rules about reactions, and those that judge
-single beacons or state reports. It sends the results of its rules, and the links between nodes.
+Both read the file and decode it. The process without a ledger applies the rules about reactions, and some that judge
+single beacons. It sends the results of its rules, and the links between nodes.
 """
 
 from __future__ import annotations

@@ -42,5 +42,5 @@ def statement_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes
 def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
     """Return all VarDis records of a beacon as statements of ``sender``."""
     return tuple(
-        [statement_of(kind, record, heard, sender) for kind, records, _, _ in parts_of(heard) for record in records]
+        [statement_of(kind, record, heard, sender) for kind, records, _, _, _ in parts_of(heard) for record in records]
     )

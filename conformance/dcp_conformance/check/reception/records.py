@@ -5,6 +5,7 @@ They show whether a receiver processes only the first part of a payload.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,16 +45,14 @@ class RecordSizes:
         """Return the offsets of the records of each part in the VarDis payload, and the payload's size, in octets."""
         position, before = 0, None
         starts: list[range | list[int]] = []
-        for kind, records, _, _ in parts:
+        for kind, records, _, _, _ in parts:
             if kind is not before:
                 position += self._header
                 before = kind
             if kind is CREATE or kind is UPDATE:
-                begins = []
-                for each in records:
-                    begins.append(position)
-                    position += self.of(kind, each)
-                starts.append(begins)
+                sizes = [self.of(kind, each) for each in records]
+                starts.append([*itertools.accumulate(sizes, initial=position)])
+                position = starts[-1][-1]
             else:
                 size = self.of(kind, records[0])
                 end = position + size * len(records)

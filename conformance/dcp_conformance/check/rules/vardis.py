@@ -120,20 +120,20 @@ class PayloadConsistency(Invariant):
 
     def _agree(self, seen: Seen) -> bool:
         """Whether nothing is deleted, and all records of each variable have one number; count the pairs."""
-        stated: dict[int, int] = {}
+        before: dict[int, int] = {}
         pairs = 0
-        for kind, _, ids, numbers in seen.parts:
+        for kind, _, ids, _, stated in seen.parts:
             if kind is DELETE:
                 return False
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-                these = dict(zip(ids, numbers, strict=True))
-                if len(these) < len(ids):
+                if len(stated) < len(ids):
                     return False
-                for var_id in stated.keys() & these.keys() if stated else ():
-                    if stated[var_id] != these[var_id]:
+                common = before.keys() & stated.keys() if before else ()
+                for var_id in common:
+                    if before[var_id] != stated[var_id]:
                         return False
-                    pairs += 1
-                stated = stated | these if stated else these
+                pairs += len(common)
+                before = before | stated if before else stated
         self._pairs += pairs
         return True
 
