@@ -332,7 +332,7 @@ class Observer:
         variable.expires = variable.expires or bool(spec.timeout)
         variable.repetitions = max(variable.repetitions, spec.rep_cnt)
         variable.created = max(variable.created, spec.creation_time or 0)
-        variable.create, variable.value = self._sizes.of(CREATE, each.record), len(upd.value)
+        variable.create, variable.value = self._sizes.create(each.record), len(upd.value)
         station.repetitions = max(station.repetitions, spec.rep_cnt)
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
