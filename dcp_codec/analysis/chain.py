@@ -31,25 +31,36 @@ class Hop(NamedTuple):
 def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:
     """Return for each state, in the order of time, the frame that brought it; none for those of producers."""
     carriers: dict[tuple[int, int], dict[bytes, Entry]] = {}
-    known: dict[tuple[bytes, bytes], bool] = {}
-    """Pair of nodes -> whether the first one may hear the other one."""
+    known: dict[bytes, dict[bytes, bool]] = {}
+    """Node -> whether it may hear another one."""
     hops = []
     for each in entries:
         others = carriers.setdefault((each.var_id, each.number), {})
         best: tuple[Stamp, Entry] | None = None
-        frames, node, time, frame = 0, each.node, each.time, (each.frame,)
+        frames, node, frame, least = 0, each.node, (each.frame,), each.time - _RECENT
         if each.number >= 0 and producers.get(each.var_id) != node:
+            heard, gone = known.setdefault(node, {node: False}), []
             for who, other in others.items():
                 # Numbers are used again: the node that sent the value still states it, or did so shortly before.
-                if who == node or not other.carried or time - other.until > _RECENT:
+                if other.until < least:
+                    gone.append(who)
                     continue
-                may = known.get((node, who))
-                if may is None:
-                    may = known[node, who] = hears(node, who) is not False
-                before = bisect_left(other.carried, frame) if may else 0
-                frames += before
-                if before and (best is None or other.carried[before - 1] > best[0]):
-                    best = other.carried[before - 1], other
+                if (may := heard.get(who)) is None:
+                    may = heard[who] = hears(node, who) is not False
+                if not may or not (carried := other.carried):
+                    continue
+                latest = carried[-1]
+                if latest < frame:
+                    frames += len(carried)
+                elif before := bisect_left(carried, frame):
+                    frames += before
+                    latest = carried[before - 1]
+                else:
+                    continue
+                if best is None or latest > best[0]:
+                    best = latest, other
+            for who in gone:
+                del others[who]
         hops.append(Hop(each, None, None, 0) if best is None else Hop(each, best[1], best[0], frames))
         others[node] = each
     return hops

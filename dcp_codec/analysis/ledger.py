@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import repeat
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from dcp_spec.constants import ICType
@@ -34,6 +34,8 @@ DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDA
 MOST_PAIRS, MOST_ENTRIES = 1 << 18, 60_000
 #: Maximum number of stale states that are kept.
 _STALE = 10_000
+#: Maximum number of parts with summaries that are kept.
+_PARTS = 512
 _BY_VARIABLE = attrgetter("var_id", "time", "frame")
 
 
@@ -53,33 +55,37 @@ class Statement(msgspec.Struct, frozen=True, gc=False):
     """Sequence number of the variable in the record; -1 if it has none."""
 
 
-class News(NamedTuple):
-    """A record other than a summary that repeats the sequence number which the node stated last."""
+News = tuple[Statement, Statement | None]
+"""A record other than a summary that repeats the sequence number which the node stated last, and the node's previous
+create, update or summary of the variable: None if there is none, if beacons of the node are missing since then, or if
+the node has deleted the variable since then."""
 
-    statement: Statement
-    """The record."""
-    before: Statement | None
-    """The node's previous create, update or summary of the variable. None if there is none, if beacons of the node are
-    missing since then, or if the node has deleted the variable since then."""
+Part = tuple[ICType, Sequence[Any], list[int], list[int], dict[int, int]]
+"""The type and the records of a container, their variable identifiers in the same order, their sequence numbers (-1 for
+deletes and requests for creates), and the last number by variable."""
 
-
-class Part(NamedTuple):
-    """The records of a container, and their variable identifiers in the same order."""
-
-    kind: ICType
-    records: Sequence[Any]
-    ids: list[int]
+_known: dict[int, Part] = {}
+"""By the ``id`` of the records: parts with summaries, whose records the decoder returns again for equal octets. A part
+refers to its records, so that no other object has their ``id``."""
 
 
 def part_of(records: Sequence[Any]) -> Part | None:
     """Return the records of a container; None for an empty one, and for a type that a profile adds."""
+    if (part := _known.get(id(records))) is not None:
+        return part
     if not records or (kind := records[0].IC_TYPE) is None:
         return None
-    return Part(kind, records, [each.spec.var_id for each in records] if kind is CREATE else _ids(records))
-
-
-def _ids(records: Sequence[Any]) -> list[int]:
-    return [each.var_id for each in records]
+    if kind is CREATE:
+        ids, numbers = [each.spec.var_id for each in records], [each.upd.seqno for each in records]
+    else:
+        ids = [each.var_id for each in records]
+        numbers = [-1] * len(ids) if kind is DELETE or kind is ASK_CREATE else [each.seqno for each in records]
+    part = kind, records, ids, numbers, dict(zip(ids, numbers, strict=True))
+    if kind is SUMMARY:
+        if len(_known) >= _PARTS:
+            _known.clear()
+        _known[id(records)] = part
+    return part
 
 
 def parts_of(beacon: Beacon) -> list[Part]:
@@ -171,12 +177,11 @@ class Ledger:
             self._forget(voice, unbroken)
         numbers, stamp, count = voice.numbers, (frame, time), 0
         news: list[News] = []
-        for kind, records, ids in parts:
+        for kind, records, ids, numbers_now, _ in parts:
             if kind is not SUMMARY:
                 for each in records:
                     news.append(self._news(statement(kind, each, frame, time, node), voice))
                 continue
-            numbers_now = [each.seqno for each in records]
             if [*map(numbers.get, ids)] == numbers_now and not voice.odd:
                 voice.again.update(dict.fromkeys(ids, stamp))
                 count += len(ids)
@@ -201,13 +206,19 @@ class Ledger:
             number = before.number
             before = Statement(SUMMARY, VarSumm(var_id, number), *again, each.sender, var_id, number)
         number, created = each.number, None
-        if kind is CREATE:
-            created = each.record.spec.prod_id, each.record.spec.creation_time
-        elif kind is DELETE:
-            number = DELETED
-        elif kind is ASK_CREATE:
-            number = UNKNOWN
-        self._state(each.frame, each.time, each.sender, kind, var_id, number, created, voice)
+        entry = voice.entries.get(var_id)
+        if kind is UPDATE and entry is not None and entry.number == number and not voice.odd:
+            # The most frequent record: the update that the node has sent before, or one with the number of its summary.
+            entry.last, entry.until = each.frame, each.time
+            entry.carry(each.frame, each.time)
+        else:
+            if kind is CREATE:
+                created = each.record.spec.prod_id, each.record.spec.creation_time
+            elif kind is DELETE:
+                number = DELETED
+            elif kind is ASK_CREATE:
+                number = UNKNOWN
+            self._state(each.frame, each.time, each.sender, kind, var_id, number, created, voice)
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
             if var_id in voice.entries:
                 voice.last[var_id], voice.numbers[var_id] = each, each.number
@@ -216,7 +227,7 @@ class Ledger:
         elif kind is DELETE and before is not None:
             del voice.last[var_id], voice.numbers[var_id]
             voice.again.pop(var_id, None)
-        return News(each, before)
+        return each, before
 
     def follow(
         self, frame: int, time: int, node: bytes, kind: ICType, var_id: int, number: int, creation: Creation | None
@@ -378,8 +389,14 @@ class Ledger:
 
     def entries(self, var_id: int | None = None) -> list[Entry]:
         """Return the states of a variable (default: all) at all nodes, in the order of time."""
-        found = [each for each in (*self._ended, *self._present()) if var_id is None or each.var_id == var_id]
+        found = [*self._ended, *self._present(var_id)]
+        if var_id is not None:
+            found = [each for each in found if each.var_id == var_id]
         return sorted(found, key=attrgetter("time", "frame"))
+
+    def count(self) -> int:
+        """Return the number of states with a sequence number."""
+        return sum([each.number >= 0 for each in self._ended]) + sum(voice.held for voice in self._voices.values())
 
     @property
     def compared(self) -> frozenset[int]:
@@ -402,22 +419,27 @@ class Ledger:
         return sorted((each for each in found if each.var_id in self._productions), key=_BY_VARIABLE)
 
     def as_json(
-        self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None, period_ns: float = 0
+        self,
+        representation: str,
+        came: Iterable[tuple[Entry | None, int]] | None = None,
+        period_ns: float = 0,
+        entries: Sequence[Entry] | None = None,
     ) -> dict[str, Any]:
         """Return the states for programs and pages: times in intervals since ``begin``, nodes and variables by index.
 
         ``representation``: the format of node identifiers. ``came``: source and frame of all states; None: unknown.
-        ``period_ns``: as in :meth:`stale`. ``changes`` are rows of time difference, node, variable, number
-        (:data:`DELETED`, :data:`UNKNOWN`), frame, number of requests, index of the row of the state from which it came,
-        number of the frame that brought it (-1 and 0 if there is none, :func:`.chain.sources`), and the number of
-        values of the producer up to this one (-1: unknown). If the producer has left the state, the time of that, the
-        time of the node's last record with the state, and the time from which it was stale (-1: never) follow.
+        ``period_ns``: as in :meth:`stale`. ``entries``: the result of :meth:`entries`, if known. ``changes`` are rows
+        of time difference, node, variable, number (:data:`DELETED`, :data:`UNKNOWN`), frame, number of
+        requests, index of the row of the state from which it came, number of the frame that brought it (-1 and 0 if
+        there is none, :func:`.chain.sources`), and the number of values of the producer up to this one (-1: unknown).
+        If the producer has left the state, the time of that, the time of the node's last record with the state, and the
+        time from which it was stale (-1: never) follow.
         ``producers`` are rows of time, variable, node.
         """
         begin, rows, last, least = self.begin or 0, [], 0, patience(period_ns)
         nodes: dict[bytes, int] = {}
         variables: dict[int, int] = {}
-        entries = self.entries()
+        entries = self.entries() if entries is None else entries
         index = {id(each): place for place, each in enumerate(entries)}
         for each, (source, frame) in zip(entries, came or repeat((None, 0), len(entries)), strict=True):
             at = max(each.time - begin, 0) // self.interval

@@ -1,7 +1,9 @@
 """Fewer garbage collections while a recording is judged or a network is simulated.
 
 Both keep many objects for long, and create nearly no reference cycles. Python's default thresholds would search these
-objects for cycles every few hundred beacons, at about a tenth of the total time.
+objects for cycles every few hundred beacons, at about a tenth of the total time. The cost of a search grows with the
+number of new objects, so that a recording of usual length should end before the first one. The limit bounds the memory
+that cycles can use.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from contextlib import contextmanager
 from typing import Final
 
 #: Number of new objects (that can be part of a cycle) between two collections; Python's default is 700.
-_OBJECTS: Final = 50_000
+_OBJECTS: Final = 1_000_000
 
 
 @contextmanager

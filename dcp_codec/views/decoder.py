@@ -7,7 +7,8 @@ call, and a list of small fixed records with one bulk conversion. Octets that ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterator
 from itertools import starmap
 from typing import Any, NoReturn
 
@@ -27,6 +28,8 @@ from dcp_codec.plan.source import Source
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 Decode = Callable[[bytes, int, int], tuple[Any, int]]
+#: Number of lists of small records that a decoder remembers, for each type of record.
+_LISTS = 256
 
 
 class _Path:
@@ -111,7 +114,7 @@ class _Generator:
             for prefix in node.prefixes
         }
         self.source = Source("decode(b, o, e)")
-        self.source.namespace.update(starmap=starmap, short_run=short_run)
+        self.source.namespace.update(short_run=short_run)
         # The result to attach to an error: the outermost list built so far (see DecodeError.partial).
         self.partial = "None"
         self.partial_root: Callable[[str], str] | None = None
@@ -387,24 +390,37 @@ class _Generator:
         if any(packed.swapped):
             return None
         source, stop, variable, size = self.source, self.source.fresh("p"), self.source.fresh(), element.size
-        cls = source.constant("T", self.types[element.type_name], element.type_name)
+        cls = self.types[element.type_name]
         source.add(f"{stop} = o + {count} * {size}")
         with source.block(f"if {stop} > {end}:"):
             whole = f"(({end} - o) // {size})"
             run = [(scalar, path.item(whole).field(scalar.name)) for scalar in scalars]
             self.short(run, f"o + {whole} * {size}", end)
-        if all(scalar.size == 1 and scalar.kind == "int" and not scalar.signed for scalar in scalars):
-            # One octet per field: every n-th octet is a column; iterating over bytes gives integers.
-            columns = ", ".join(
-                f"b[o{f' + {index}' if index else ''}:{stop}{f':{size}' if size != 1 else ''}]"
-                for index in range(len(scalars))
-            )
-            source.add(f"{variable} = tuple(map({cls}, {columns}))")
-        else:
-            unpack = source.constant("unpack", packed.struct.iter_unpack, (packed.struct.format, "iter"))
-            source.add(f"{variable} = tuple(starmap({cls}, {unpack}(b[o:{stop}])))")
+        octet_each = all(scalar.size == 1 and scalar.kind == "int" and not scalar.signed for scalar in scalars)
+        unpack = None if octet_each else packed.struct.iter_unpack
+        convert = _records(cls, len(scalars), unpack)
+        records = source.constant("records", convert, (element.type_name, packed.struct.format))
+        source.add(f"{variable} = {records}(b[o:{stop}])")
         source.add(f"o = {stop}")
         return variable
+
+
+def _records(
+    cls: type, fields: int, unpack: Callable[[bytes], Iterator[tuple[Any, ...]]] | None
+) -> Callable[[bytes], tuple[Any, ...]]:
+    """Return the conversion of octets to records of fixed size; ``unpack`` is None if each of ``fields`` is one octet.
+
+    Equal octets give the same records: most nodes repeat summaries that have not changed.
+    """
+
+    @functools.lru_cache(maxsize=_LISTS)
+    def records(octets: bytes) -> tuple[Any, ...]:
+        if unpack is not None:
+            return tuple(starmap(cls, unpack(octets)))
+        # Every n-th octet is a column; iterating over bytes gives integers.
+        return tuple(map(cls, *[octets[first::fields] for first in range(fields)]))
+
+    return records
 
 
 def _fills(node: Node) -> bool:

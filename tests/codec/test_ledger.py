@@ -22,8 +22,9 @@ from dcp_codec import (
     get_codec,
 )  # fmt: skip
 from dcp_codec.analysis.entry import DELETED, UNKNOWN
-from dcp_codec.analysis.ledger import Ledger
+from dcp_codec.analysis.ledger import Ledger, part_of
 from dcp_codec.capture import open_capture
+from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
 
 from ..odd_profiles import codec_of
@@ -232,3 +233,23 @@ def test_a_recording_ends_with_the_state_of_its_last_summaries():
     assert {key: number for key, number in held.items() if key in last and number >= 0} == {
         key: number for key, number in last.items() if held[key] >= 0
     }
+
+
+def test_equal_summaries_have_one_part_and_those_of_other_profiles_have_their_own(tmp_path: Path):
+    octets = bytes([1, 3, 7, 200, 8, 201, 7, 202])
+    profile = tmp_path / "turned.toml"
+    profile.write_text('extends = "dcp-2.0"\nname = "turned"\n[vardis.records]\nVarSumm = ["seqno", "varId"]\n')
+    usual, turned = get_codec("dcp-2.0"), Codec(profile)
+    parts = [part_of(codec.decode_containers(octets)[0].records) for codec in (usual, turned, usual, turned)]
+    assert [part[2:4] for part in parts if part] == [([7, 8, 7], [200, 201, 202]), ([200, 201, 202], [7, 8, 7])] * 2
+    assert parts[0] is parts[2]
+    assert parts[0] is not None
+    assert parts[0][4] == {7: 202, 8: 201}
+
+
+def test_a_part_is_that_of_its_records_after_many_others():
+    for number in range(3_000):
+        records = (VarSumm(number % 256, number // 256),)
+        part = part_of(records)
+        assert part is not None
+        assert (part[1], part[2], part[3]) == (records, [number % 256], [number // 256])

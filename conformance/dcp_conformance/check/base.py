@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
+import msgspec
 from dcp_spec.constants import Features, features
 from dcp_spec.profile.definition import Profile
 
@@ -19,6 +20,7 @@ from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
 from .lifetimes import Lifetimes
+from .numbers import Numbers
 from .senders import Senders
 from .statements import SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statement_of
 from .stations import Origin, Stations
@@ -31,7 +33,7 @@ MOST_SENDERS = 4096
 MOST_VARIABLES = 65_536
 
 
-class Trace(NamedTuple):
+class Trace(msgspec.Struct, frozen=True, gc=False):
     """The part of a frame that a rule may keep: it holds neither the decoded values nor the dissection."""
 
     number: int
@@ -116,7 +118,9 @@ class Seen:
         """All VarDis records of the frame in their order. Prefer ``parts`` or ``news``, which cost less."""
         if self._statements is None:
             found = [
-                statement_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records
+                statement_of(kind, each, self.heard, self.sender)
+                for kind, records, _, _, _ in self.parts
+                for each in records
             ]
             self._statements = tuple(found)
         return self._statements
@@ -185,6 +189,8 @@ class Context:
         """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
         self.ledger = Ledger(MOST_VARIABLES)
         """The states of all variables at all nodes."""
+        self.numbers: Numbers | None = None
+        """Finds the news in place of the ledger, if no rule needs that; :attr:`lives` is not kept either."""
 
     def withhold(self, requirement: str, why: str) -> None:
         """Keep a requirement from the verdict pass; the first reason is kept.
@@ -203,11 +209,14 @@ class Context:
         if seen.parts:
             sender = self.senders.get(seen.sender)
             if sender is None:
-                seen.news = [News(each, None) for each in seen.statements]
+                seen.news = [(each, None) for each in seen.statements]
             else:
-                seen.news, seen.again = self.ledger.feed_parts(
+                keeper = self.ledger if self.numbers is None else self.numbers
+                seen.news, seen.again = keeper.feed_parts(
                     seen.number, seen.time, seen.sender, seen.parts, sender.unbroken
                 )
+                if keeper is self.numbers:
+                    return
             for each, before in seen.news:
                 # A later update or summary of a known variable has no effect on its lifetime.
                 if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
@@ -240,8 +249,7 @@ class Invariant:
     enough: ClassVar[int] = 10
     """Minimum number of occasions for the verdict pass."""
     of_reactions: ClassVar[bool] = False
-    """True if the rule uses :mod:`.reception`. Two processes can judge a recording: one applies these rules, the other
-    one all others."""
+    """True if the rule uses :mod:`.reception`."""
 
     def __init__(self, context: Context) -> None:
         self.context = context

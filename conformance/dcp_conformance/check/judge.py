@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -14,6 +14,7 @@ from dcp_codec.analysis.chain import sources
 from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
+from dcp_codec.common.garbage import few_collections
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case
@@ -32,10 +33,11 @@ from dcp_conformance.model.results import (
 )
 from dcp_conformance.model.verdict import Verdict, worst
 
-from .base import Context, Finding, Invariant, Outcome, Seen, name
+from .base import MOST_VARIABLES, Context, Finding, Invariant, Outcome, Seen, name
+from .numbers import Numbers
 from .places import placed
 from .reception import Reception, reception_of
-from .reception.links import Whole, summary
+from .reception.links import Link, Whole, summary
 from .rules import bp as rules_bp
 from .rules import data as rules_data
 from .rules import dialogue as rules_dialogue
@@ -57,6 +59,10 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_dialogue.RULES,
     *rules_network.RULES,
 )
+#: The rules about reactions, and with them so many others that need neither the ledger nor previous records of a node
+#: that each of two processes has half of the work (:mod:`.sharing`).
+OF_REACTIONS = frozenset(rule for rule in RULES if rule.of_reactions)
+WITHOUT_LEDGER = OF_REACTIONS.union(rules_data.RULES, rules_vardis.RULES)
 _STIMULUS: Final = "none: the recording is judged unchanged"
 #: Minimum number of beacons in the recording for the verdict pass.
 LEAST_BEACONS: Final = 30
@@ -109,10 +115,11 @@ class RecorderClock:
 
 
 class Share(NamedTuple):
-    """The results of some rules: by the identifier of the rule, and the frames that they cite, by number."""
+    """The results of some rules: by the identifier of the rule, the frames that they cite, by number, and the links."""
 
     outcomes: dict[str, Outcome]
     cited: dict[int, EventRecord]
+    links: list[Link]
 
 
 class Judge:
@@ -129,7 +136,8 @@ class Judge:
         period_known: bool = True,
         enough: int | None = None,
         topology: Topology | None = None,
-        of_reactions: bool | None = None,
+        applied: Collection[type[Invariant]] = RULES,
+        with_ledger: bool = True,
     ) -> None:
         """Prepare the rules for the profile of ``codec``.
 
@@ -137,8 +145,8 @@ class Judge:
         ``command``: the command line in the result. ``period_known``: False if the beacon period in ``pics`` was
         measured in this recording, which therefore cannot break it. ``enough``: minimum number of occasions and of
         beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``. ``topology``: the links
-        that the user tells; None: they are inferred. ``of_reactions``: apply only the rules with this value of
-        :attr:`Invariant.of_reactions`, because another process applies the others (:mod:`.sharing`).
+        that the user tells; None: they are inferred. ``applied``: the rules that are applied; another process may
+        apply the others (:mod:`.sharing`). ``with_ledger``: False: keep no ledger (only for ``WITHOUT_LEDGER``).
         """
         self._codec = codec
         self._pics = pics
@@ -152,12 +160,10 @@ class Judge:
         self._topology = topology
         if topology is not None:
             self._context.hears = topology.hears
+        if not with_ledger:
+            self._context.numbers = Numbers(MOST_VARIABLES)
         self._rules = [rule(self._context) for rule in RULES]
-        self._active = [
-            rule
-            for rule in self._rules
-            if not rule.applies() and (of_reactions is None or rule.of_reactions is of_reactions)
-        ]
+        self._active = [rule for rule in self._rules if not rule.applies() and type(rule) in applied]
         # Rules without a method of their own wait for the end.
         self._feeds = [rule.feed for rule in self._active if type(rule).feed is not Invariant.feed]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
@@ -257,7 +263,7 @@ class Judge:
     def share(self) -> Share:
         """Return the results of the rules that were applied, for :meth:`adopt` in another process; call once."""
         self._finish()
-        return Share({rule.id: rule.outcome for rule in self._active}, self._cited)
+        return Share({rule.id: rule.outcome for rule in self._active}, self._cited, self.reception.links)
 
     def _finish(self) -> None:
         """Process the end of the recording."""
@@ -272,9 +278,14 @@ class Judge:
             if rule.id in share.outcomes:
                 rule.adopt(share.outcomes[rule.id])
         self._cited |= share.cited
+        self.reception.links += share.links
 
     def result(self, notes: Iterable[str] = ()) -> RunResult:
         """Return the verdicts; call once, after the last frame. ``notes`` are added to those of the result."""
+        with few_collections():
+            return self._result(notes)
+
+    def _result(self, notes: Iterable[str]) -> RunResult:
         self._finish()
         for rule in self._rules:
             for finding in rule.findings:
@@ -321,10 +332,11 @@ class Judge:
     def _holdings(self) -> dict[str, Any]:
         """Return the states of all variables for the result."""
         ledger = self.ledger
-        hops = sources(ledger.entries(), ledger.producers, self.hears)
+        entries = ledger.entries()
+        hops = sources(entries, ledger.producers, self.hears)
         came = [(hop.source, 0 if hop.frame is None else hop.frame[0]) for hop in hops]
         period = self._context.pics.pixit.beacon_period_ms * 1e6
-        return ledger.as_json(self._codec.profile.types.node_id.representation, came, period)
+        return ledger.as_json(self._codec.profile.types.node_id.representation, came, period, entries)
 
     def _links(self) -> Iterator[LinkResult]:
         """Yield the links between nodes for which the recording shows either reactions or their absence."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import statistics
+from collections.abc import Collection
 from pathlib import Path
 
 import msgspec
@@ -28,7 +29,8 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
-from .judge import Judge
+from .base import Invariant
+from .judge import OF_REACTIONS, RULES, WITHOUT_LEDGER, Judge
 from .sharing import Helper, processes
 from .tables import write_tables
 from .topology import Topology
@@ -128,11 +130,11 @@ def judges_of(
     # File names are octets: make them valid Unicode, so that the report can be written.
     name = path.name.encode("utf-8", "backslashreplace").decode()
 
-    def judges_for(*, of_reactions: bool | None) -> list[Judge]:
+    def judges_for(applied: Collection[type[Invariant]], *, with_ledger: bool = True) -> list[Judge]:
         return [
             Judge(
                 codec, each, recording=name, path=str(path), command=command, period_known=period_known,
-                topology=topology, of_reactions=of_reactions,
+                topology=topology, applied=applied, with_ledger=with_ledger,
             )
             for codec, each in zip(codecs, periods, strict=True)
         ]  # fmt: skip
@@ -141,10 +143,11 @@ def judges_of(
         return 0 if versions is None else versions.of(frame)
 
     shared = all_rules and processes(path, jobs) > 1
-    judges = judges_for(of_reactions=True if shared or not all_rules else None)
+    mine = frozenset(RULES) - WITHOUT_LEDGER if shared else RULES if all_rules else OF_REACTIONS
+    judges = judges_for(mine)
     with contextlib.ExitStack() as stack:
         if shared:
-            helper = Helper(path, judges_for(of_reactions=False), place)
+            helper = Helper(path, judges_for(WITHOUT_LEDGER, with_ledger=False), place)
             stack.callback(helper.end)
         try:
             with open_capture(path) as reader:

@@ -1,6 +1,7 @@
-"""Judge a long recording in two processes: one applies the rules about reactions of nodes, the other one all others.
+"""Judge a long recording in two processes: one keeps the ledger and makes the result, the other one does without it.
 
-Both processes read the file, decode it and keep the ledger. Only the results of the rules are sent.
+Both read the file and decode it. The process without a ledger applies the rules about reactions, and some that judge
+single beacons. It sends the results of its rules, and the links between nodes.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def _judge(connection: Connection, path: Path, judges: Sequence[Judge], place: C
         with open_capture(path) as reader, few_collections():
             for frame in reader:
                 judges[place(frame)].feed(frame)
+            shares = [judge.share() for judge in judges]
     except CaptureError:
         # The other process reports it.
         return
-    connection.send([judge.share() for judge in judges])
+    connection.send(shares)

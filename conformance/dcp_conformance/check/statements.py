@@ -20,7 +20,7 @@ from dcp_codec.analysis.ledger import (
 )
 from dcp_conformance.frames.received import ReceivedBeacon
 
-__all__ = ["ASK_CREATE", "ASK_UPDATE", "CREATE", "DELETE", "SUMMARY", "UPDATE", "Part", "Statement"]
+__all__ = ["ASK_CREATE", "ASK_UPDATE", "CREATE", "DELETE", "SUMMARY", "UPDATE", "Part", "Statement", "statement"]
 
 
 def speaker(heard: ReceivedBeacon) -> bytes:
@@ -42,5 +42,5 @@ def statement_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes
 def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
     """Return all VarDis records of a beacon as statements of ``sender``."""
     return tuple(
-        [statement_of(kind, record, heard, sender) for kind, records, _ in parts_of(heard) for record in records]
+        [statement_of(kind, record, heard, sender) for kind, records, _, _, _ in parts_of(heard) for record in records]
     )

@@ -7,15 +7,20 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
 from dcp_conformance.check.judge import Judge
+from dcp_conformance.check.numbers import Numbers
 from dcp_conformance.check.recording import judge_versions
 from dcp_conformance.check.topology import told
 from dcp_conformance.errors import UsageError
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec.capture import CaptureError, create_capture, open_capture
+from dcp_codec.codec import Codec
+from dcp_codec.framing.locate import Framing, locate
 
 from .test_versions import CAPTURES, frames_of, moved, recorded
 
@@ -69,3 +74,25 @@ def test_damage_is_reported_once(tmp_path: Path):
     for jobs in (1, 2):
         with pytest.raises((UsageError, CaptureError)):
             results(path, jobs)
+
+
+@pytest.mark.parametrize("name", ["b_crud", "c_latejoin"])
+def test_without_a_ledger_the_news_are_the_same(name: str):
+    """Every eleventh beacon is missing, so that earlier numbers do not count."""
+    codec = Codec("cpp-2.0")
+    with_ledger, without = Context(codec, Pics()), Context(codec, Pics())
+    without.numbers = Numbers(MOST_VARIABLES)
+    repeated = 0
+    for frame in (each for each in frames_of(name, 400) if each.number % 11):
+        of = []
+        for context in (with_ledger, without):
+            framing = locate(frame.data, codec.profile.link)
+            assert isinstance(framing, Framing)
+            octets = frame.data[framing.start :]
+            heard = ReceivedBeacon(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+            seen = Seen(codec, heard, frame.data, framing.start, framing.dst)
+            context.feed(seen)
+            of.append(([each for each, _ in seen.news], seen.again))
+        assert of[0] == of[1]
+        repeated += seen.again
+    assert repeated > 100

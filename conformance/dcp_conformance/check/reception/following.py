@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from operator import itemgetter
 from typing import Final, NamedTuple
 
+import msgspec
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.statements import Statement
@@ -16,6 +19,8 @@ _TIMES = 16
 #: Reactions with the same delay that show when a node composes payloads, if they are ``MOSTLY`` times as many as those
 #: with the other delay.
 DELAYS, MOSTLY = 4, 3
+#: Maximum number of frames of an interval that are kept.
+_FRAMES = 32
 
 
 NOTHING: Final = Statement(ICType.SUMMARIES, None, 0, 0, b"", 0, -1)
@@ -53,6 +58,13 @@ class Proof(NamedTuple):
     until: int
 
 
+Event = tuple[int, int, int, Statement, bool, int, int, int]
+"""A record that demands a reaction: the number of earlier events; the nodes that must react, as a mask of bits; the bit
+of its sender; the record; whether it is in the second half of its payload; the length of the VarDis payload in octets;
+the time in ns of :attr:`Observer.time`; the number of the frame, negative if it has errors."""
+_SPEAKER, _LATE_HALF, _LENGTH, _FRAME = map(itemgetter, (2, 4, 5, 7))
+
+
 @dataclass(slots=True, eq=False)
 class Interval:
     """The records between two successive beacons of a node that call for one kind of reaction to one variable."""
@@ -77,6 +89,30 @@ class Interval:
     """Proof that the node has received a record of this interval."""
     again: dict[int, int] | None = None
     """Senders (bits) of several beacons with one of them, each with the number of its further beacons."""
+
+    def add(self, events: Sequence[Event]) -> None:
+        """Add records, in order."""
+        speakers = sum(map(_SPEAKER, events))
+        if not self.frames:
+            _, _, _, self.cause, _, self.length, self.time, _ = events[0]
+            if speakers.bit_count() == len(events) <= _FRAMES:
+                # The sum of different bits: each speaker has sent one record.
+                self.speakers, self.frames = speakers, [*map(_FRAME, events)]
+                self.late_half, self.length = all(map(_LATE_HALF, events)), min(map(_LENGTH, events))
+                return
+        for _, _, speaker, _, late_half, length, _, frame in events:
+            self.late_half = self.late_half and late_half
+            self.length = min(self.length, length)
+            if self.frames and frame == self.frames[-1]:
+                continue
+            if self.speakers & speaker:
+                self.again = self.again or {}
+                self.again[speaker] = self.again.get(speaker, 0) + 1
+            self.speakers |= speaker
+            if len(self.frames) < _FRAMES:
+                self.frames.append(frame)
+            else:
+                self.frames[-1], self.cut = frame, True
 
 
 Exposure = tuple[tuple[int, int], ...]
@@ -165,28 +201,7 @@ class Population:
     """The nodes that may have known variables before their first beacon in the recording."""
 
 
-class Event(NamedTuple):
-    """A record that demands a reaction from the nodes that hear it."""
-
-    whom: int
-    """The nodes that must react, as a mask of bits."""
-    speaker: int
-    """The bit of its sender."""
-    due: tuple[Kind, int]
-    """The reaction, and the variable."""
-    cause: Statement
-    """The record."""
-    late_half: bool
-    """Whether the record is in the second half of its payload."""
-    length: int
-    """Length of the VarDis payload in octets."""
-    time: int
-    """ns of :attr:`Observer.time`."""
-    frame: int
-    """Number of the frame; negative if it has errors."""
-
-
-class Trial(NamedTuple):
+class Trial(msgspec.Struct, frozen=True, gc=False):
     """An occasion with a known outcome."""
 
     time: int

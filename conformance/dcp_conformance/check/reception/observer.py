@@ -14,6 +14,7 @@ have the same number of a variable, so that the cost depends on the changes, and
 from __future__ import annotations
 
 import functools
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Final
@@ -65,10 +66,6 @@ _ABSENT = (Kind.TAKE_CREATE, Kind.ASK_CREATE)
 #: reactions whose absence is a fault if reception is proved.
 _PROVES = frozenset({Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ASK_CREATE})
 _PROVABLE = frozenset({Kind.TAKE_UPDATE, Kind.TAKE_DELETE, Kind.TAKE_CREATE, Kind.ANSWER_UPDATE, Kind.ANSWER_CREATE})
-#: Maximum number of frames of an interval that are kept.
-_FRAMES = 32
-#: Stands for an interval that has not been looked up.
-_OPENING: Final = Interval(-1)
 
 
 class Observer:
@@ -85,10 +82,11 @@ class Observer:
         self.unrecorded = Unrecorded()
         self.variables: dict[int, Variable] = {}
         self._nodes = Population()
-        self._log: list[Event] = []
-        """The latest events, in order. A node processes them before its next beacon."""
-        self._dropped = 0
-        """Number of events that have been removed from the start of ``_log``."""
+        self._log: dict[tuple[Kind, int], list[Event]] = {}
+        """Reaction and variable -> the latest events, in order. A node processes them before its next beacon. The key
+        of the last event is the last one."""
+        self._logged = self._dropped = 0
+        """Number of all events, and of those that have been removed."""
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
         self._carried: dict[tuple[int, int, Kind], tuple[int, Sequence[Interval]]] = {}
@@ -121,11 +119,13 @@ class Observer:
         station.beacons += 1
         station.times.append(self.time)
         length = len(seen.heard.octets)
-        asked = self._settle(station, seen)
+        self._settle(station, seen)
         if station.open or station.waiting:
-            self._decide(station, seen, asked, length)
+            self._decide(station, seen, length)
         station.longest = max(station.longest, length)
         self._occasions(station, seen)
+        # Its own records demand nothing from it.
+        station.cursor = self._logged
 
     def _station(self, seen: Seen) -> Station | None:
         """Return the sender of a beacon, brought up to date after a restart or a gap; None if it is not followed."""
@@ -141,7 +141,7 @@ class Observer:
                 return None
             listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
-            station.cursor = self._dropped + len(self._log)
+            station.cursor = self._logged
             if missed > 2:
                 self._nodes.early |= bit
             self.unrecorded.before_first(bit, missed, self.time)
@@ -195,7 +195,7 @@ class Observer:
         """Drop the open occasions of a node, and skip the events that it has not processed yet."""
         station.open.clear()
         station.waiting.clear()
-        station.cursor = self._dropped + len(self._log)
+        station.cursor = self._logged
 
     def _hold(self, station: Station, variable: Variable, number: int | None) -> None:
         """Record the number of a variable that a node holds; None if it does not hold the variable."""
@@ -237,19 +237,14 @@ class Observer:
 
     # -- reactions -----------------------------------------------------------------------------------------------------
 
-    def _settle(self, station: Station, seen: Seen) -> set[tuple[int, int]]:
-        """Process the records of a node's own beacon as reactions and as new statements.
-
-        Return the records other than repeated summaries, as (variable, kind).
-        """
-        stated: set[tuple[int, int]] = set()
+    def _settle(self, station: Station, seen: Seen) -> None:
+        """Process the records of a node's own beacon as reactions and as new statements."""
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             variable = self.variables.get(var_id) or self._variable(var_id)
             if variable is None:
                 continue
             opened = station.open.get(var_id)
-            stated.add((var_id, kind))
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 self._states(station, variable, each, opened)
             elif kind is DELETE:
@@ -265,10 +260,9 @@ class Observer:
                 self._hit(station, variable, each, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
                 if not opened:
                     station.open.pop(var_id, None)
-        for kind, _, ids in seen.parts:
+        for kind, _, ids, _, _ in seen.parts:
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 station.stated_at.update(dict.fromkeys(ids, station.beacons))
-        return stated
 
     def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
         """Process a create, update or summary: a node states the number of a variable."""
@@ -338,7 +332,7 @@ class Observer:
         variable.expires = variable.expires or bool(spec.timeout)
         variable.repetitions = max(variable.repetitions, spec.rep_cnt)
         variable.created = max(variable.created, spec.creation_time or 0)
-        variable.create, variable.value = self._sizes.of(CREATE, each.record), len(upd.value)
+        variable.create, variable.value = self._sizes.create(each.record), len(upd.value)
         station.repetitions = max(station.repetitions, spec.rep_cnt)
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
@@ -398,15 +392,15 @@ class Observer:
         self, station: Station, variable: Variable, reaction: Statement, causes: Sequence[Interval], since: int
     ) -> None:
         """Mark the open occasions of a node whose records were in all frames that can have caused its reaction."""
-        if variable.produced & station.bit or any(each.cut for each in causes):
+        provable = [
+            intervals for opened in station.open.values() for kind, intervals in opened.items() if kind in _PROVABLE
+        ]
+        if not provable or variable.produced & station.bit or any(each.cut for each in causes):
             return
         frames = frozenset(chain.from_iterable([each.frames for each in causes]))
         if frames in self._proofs or min(frames) < 0:
             return
         self._proofs.add(frames)
-        provable = [
-            intervals for opened in station.open.values() for kind, intervals in opened.items() if kind in _PROVABLE
-        ]
         for intervals in provable:
             if frames.issubset(chain.from_iterable(each.frames for each in intervals)):
                 # The node may have received only the last one of them.
@@ -415,10 +409,11 @@ class Observer:
 
     # -- missing reactions ---------------------------------------------------------------------------------------------
 
-    def _decide(self, station: Station, seen: Seen, stated: set[tuple[int, int]], length: int) -> None:
+    def _decide(self, station: Station, seen: Seen, length: int) -> None:
         """Report the overdue occasions that this beacon of the node excludes."""
         opened_of, now = station.open, station.beacons
-        for part, _, ids in seen.parts:
+        stated: set[tuple[int, int]] = {(each.var_id, each.kind) for each, _ in seen.news}
+        for part, _, ids, _, _ in seen.parts:
             if part is not SUMMARY and part is not UPDATE and part is not CREATE:
                 continue
             for var_id in [each for each in ids if each in opened_of]:
@@ -491,7 +486,7 @@ class Observer:
         # A beacon may have several records of one variable: process all of them if one is new.
         wanted = {each.var_id for each, _ in seen.news}
         wanted |= self._unsettled
-        for place, (kind, records, ids) in enumerate(seen.parts):
+        for place, (kind, records, ids, numbers, _) in enumerate(seen.parts):
             if wanted.isdisjoint(ids):
                 continue
             for index, var_id in enumerate(ids):
@@ -502,11 +497,7 @@ class Observer:
                     continue
                 if kind is UPDATE or kind is SUMMARY:
                     holders = variable.holders
-                    if (
-                        len(holders) == 1
-                        and records[index].seqno in holders
-                        and variable.known.bit_count() >= everybody
-                    ):
+                    if len(holders) == 1 and numbers[index] in holders and variable.known.bit_count() >= everybody:
                         # All nodes have this number.
                         continue
                 statement: Statement | None = None
@@ -517,50 +508,29 @@ class Observer:
                         statement = statement_of(kind, records[index], seen.heard, seen.sender)
                     late_half = 2 * begins[place][index] >= total
                     frame = seen.number if seen.sound else -seen.number
-                    self._log.append(
-                        Event(whom, speaker.bit, (due, var_id), statement, late_half, total, self.time, frame)
-                    )
-        if len(self._log) > _EVENTS:
+                    events = self._log[due, var_id] = self._log.pop((due, var_id), [])
+                    events.append((self._logged, whom, speaker.bit, statement, late_half, total, self.time, frame))
+                    self._logged += 1
+        if self._logged - self._dropped > _EVENTS:
             for station in self.stations.values():
                 self._catch_up(station)
-            self._dropped += len(self._log)
+            self._dropped = self._logged
             self._log.clear()
 
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
-        log, bit, hears = self._log, station.bit, station.hears
-        intervals: dict[tuple[Kind, int], Interval | None] = {}
-        """Kind and variable -> the interval since the node's last beacon; None if the events do not count."""
-        for event in log[station.cursor - self._dropped :]:
-            if not (event[0] & bit and event[1] & hears):
-                continue
-            _, speaker, key, cause, late_half, length, time, frame = event
-            last = intervals.get(key, _OPENING)
-            if last is _OPENING:
-                last = intervals[key] = self._open(station, *key)
-                if last is not None and not last.frames:
-                    last.time, last.cause, last.speakers = time, cause, speaker
-                    last.late_half, last.length = late_half, length
-                    last.frames.append(frame)
-                    continue
-            if last is None:
-                continue
-            if not late_half:
-                last.late_half = False
-            if length < last.length:
-                last.length = length
-            if frame != last.frames[-1]:
-                if last.speakers & speaker:
-                    if last.again is None:
-                        last.again = {}
-                    last.again[speaker] = last.again.get(speaker, 0) + 1
-                else:
-                    last.speakers |= speaker
-                if len(last.frames) < _FRAMES:
-                    last.frames.append(frame)
-                else:
-                    last.frames[-1], last.cut = frame, True
-        station.cursor = self._dropped + len(log)
+        cursor, bit, hears = station.cursor, station.bit, station.hears
+        found: list[tuple[int, tuple[Kind, int], list[Event]]] = []
+        for key, events in reversed(self._log.items()):
+            if events[-1][0] < cursor:
+                break
+            since = events[bisect_left(events, (cursor,)) :]
+            if mine := [each for each in since if each[1] & bit and each[2] & hears]:
+                found.append((mine[0][0], key, mine))
+        for _, key, events in sorted(found):
+            if (last := self._open(station, *key)) is not None:
+                last.add(events)
+        station.cursor = self._logged
 
     @staticmethod
     def _open(station: Station, kind: Kind, var_id: int) -> Interval | None:

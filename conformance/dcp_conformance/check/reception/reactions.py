@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import msgspec
+
 from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
@@ -377,7 +379,9 @@ def _due_to(trial: Trial, causes: Exposure) -> Trial:
     if not trial.hit or not causes or causes is trial.exposure:
         return trial
     counts = dict(causes)
-    return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+    return msgspec.structs.replace(
+        trial, exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure)
+    )
 
 
 def _may_be_due_to(trial: Trial, unrecorded: Timeline) -> Trial:
@@ -388,7 +392,7 @@ def _may_be_due_to(trial: Trial, unrecorded: Timeline) -> Trial:
     if not missed:
         return trial
     others = tuple((bit, 1) for bit in bits(missed & ~trial.speakers))
-    return trial._replace(exposure=tuple(sorted(trial.exposure + others)), once=False)
+    return msgspec.structs.replace(trial, exposure=tuple(sorted(trial.exposure + others)), once=False)
 
 
 def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:

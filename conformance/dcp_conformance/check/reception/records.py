@@ -5,6 +5,7 @@ They show whether a receiver processes only the first part of a payload.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,29 +34,25 @@ class RecordSizes:
         self._least = {kind: least(RECORD_CLASSES[kind].__name__) for kind in ICType}
         self._header = least("Container")
 
-    def of(self, kind: ICType, record: Any) -> int:
-        """Return the size of a record in octets."""
-        least = self._least[kind]
-        if kind is CREATE:
-            return least + len(record.spec.descr) + len(record.upd.value)
-        return least + len(record.value) if kind is UPDATE else least
+    def create(self, record: Any) -> int:
+        """Return the size of a create in octets."""
+        return self._least[CREATE] + len(record.spec.descr) + len(record.upd.value)
 
     def starts(self, parts: Sequence[Part]) -> tuple[list[range | list[int]], int]:
         """Return the offsets of the records of each part in the VarDis payload, and the payload's size, in octets."""
         position, before = 0, None
         starts: list[range | list[int]] = []
-        for kind, records, _ in parts:
+        for kind, records, _, _, _ in parts:
             if kind is not before:
                 position += self._header
                 before = kind
             if kind is CREATE or kind is UPDATE:
-                begins = []
-                for each in records:
-                    begins.append(position)
-                    position += self.of(kind, each)
-                starts.append(begins)
+                least = self._least[kind]
+                sizes = [least + len(each.value) for each in records] if kind is UPDATE else map(self.create, records)
+                starts.append([*itertools.accumulate(sizes, initial=position)])
+                position = starts[-1][-1]
             else:
-                size = self.of(kind, records[0])
+                size = self._least[kind]
                 end = position + size * len(records)
                 starts.append(range(position, end, size))
                 position = end

@@ -96,8 +96,8 @@ def _doubtful(seen: Seen) -> bool:
     for payload in beacon.payloads:
         if not payload.content:
             return True
-    for kind, records, ids in seen.parts:
-        if len(set(ids)) < len(ids):
+    for kind, records, ids, _, stated in seen.parts:
+        if len(stated) < len(ids):
             return True
         if kind is CREATE:
             if not all(map(_flawless, records)):
@@ -261,7 +261,8 @@ class BeaconPeriod(Invariant):
             intervals = [each for each in all_intervals if 0 <= each < 2.5 * median]
             if len(intervals) < 30:
                 continue
-            mean, spread = statistics.fmean(intervals), statistics.pstdev(intervals)
+            mean = statistics.fmean(intervals)
+            spread = math.sqrt(statistics.fmean([(each - mean) ** 2 for each in intervals]))
             error = _QUANTILE * spread / math.sqrt(len(intervals))
             size = f"n = {len(intervals)}, jitter {spread:.1f} ms"
             text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99.999 %), {size}"

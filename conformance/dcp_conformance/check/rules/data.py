@@ -132,7 +132,7 @@ def _stamps(seen: Seen) -> list[tuple[str, int]]:
     report = seen.heard.report
     if report is not None and report.t_stamp:
         stamps.append(("tStamp", report.t_stamp))
-    for kind, records, _ in seen.parts:
+    for kind, records, _, _, _ in seen.parts:
         if kind is CREATE:
             stamps += [("creationTime", each.spec.creation_time) for each in records if each.spec.creation_time]
     return stamps

@@ -106,7 +106,7 @@ class Backed(Invariant):
                         unbacked = self._unbacked[seen.sender] = {}
                     unbacked[var_id] = _Unbacked(entry, before, each)
         summaries = 0
-        for kind, records, ids in seen.parts:
+        for kind, records, ids, _, _ in seen.parts:
             if kind is SUMMARY:
                 summaries += len(ids)
                 if unbacked and room and not unbacked.keys().isdisjoint(ids):
@@ -152,7 +152,7 @@ class Agreement(Invariant):
         """Count the states of nodes, and report those that a node keeps after the producer has left them."""
         circle = Circle(self.context.profile.types.var_seqno.width)
         ledger = self.context.ledger
-        self.exercised(times=sum(each.number >= 0 for each in ledger.entries()))
+        self.exercised(times=ledger.count())
         for held in ledger.stale(self.context.pics.pixit.beacon_period_ms * 1e6):
             left, newest = held.left, held.newest
             assert left is not None

@@ -105,7 +105,7 @@ class ReportLength(Invariant):
             self.violated(text, [before[1], seen], once=(seen.sender, length))
 
 
-class _Last(NamedTuple):
+class _Last(msgspec.Struct, frozen=True, gc=False):
     """A state report and the trace of its frame."""
 
     report: ExtendedSafetyData

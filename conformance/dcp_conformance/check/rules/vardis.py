@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, statement_of
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
@@ -95,10 +94,9 @@ class PayloadConsistency(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the records of each variable."""
-        several, deletes = _several(seen)
-        if not deletes and self._agree(seen, several):
+        if self._agree(seen):
             return
-        statements = seen.statements if deletes else _statements(seen, several)
+        statements = seen.statements
         records: dict[int, Statement] = {}
         deleted = {each.var_id: each for each in statements if each.kind is DELETE}
         for each in statements:
@@ -120,51 +118,28 @@ class PayloadConsistency(Invariant):
                     text = f"{name(seen.sender)} deletes and summarises variable {each.var_id} in one payload"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
-    def _agree(self, seen: Seen, several: set[int]) -> bool:
-        """Whether all creates, updates and summaries of each of these variables have one number; count the pairs."""
-        numbers: dict[int, int] = {}
+    def _agree(self, seen: Seen) -> bool:
+        """Whether nothing is deleted, and all records of each variable have one number; count the pairs."""
+        before: dict[int, int] = {}
         pairs = 0
-        for kind, records, ids in seen.parts:
-            if (kind is SUMMARY or kind is UPDATE or kind is CREATE) and not several.isdisjoint(ids):
-                for record, var_id in zip(records, ids, strict=True):
-                    if var_id in several:
-                        number = record.upd.seqno if kind is CREATE else record.seqno
-                        if numbers.setdefault(var_id, number) != number:
-                            return False
-                        pairs += 1
-        self._pairs += pairs - len(numbers)
+        for kind, _, ids, _, stated in seen.parts:
+            if kind is DELETE:
+                return False
+            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+                if len(stated) < len(ids):
+                    return False
+                common = before.keys() & stated.keys() if before else ()
+                for var_id in common:
+                    if before[var_id] != stated[var_id]:
+                        return False
+                pairs += len(common)
+                before = before | stated if before else stated
+        self._pairs += pairs
         return True
 
     def finish(self) -> None:
         """Count the occasions."""
         self.exercised("VD-CMP-04", "VD-UPD-10", times=self._pairs)
-
-
-def _several(seen: Seen) -> tuple[set[int], bool]:
-    """Return the variables with several creates, updates and summaries in a beacon, and whether it has deletes."""
-    found, every, deletes = set[int](), list[int](), False
-    for kind, _, ids in seen.parts:
-        if kind is DELETE:
-            deletes = True
-        elif kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            found.update(ids)
-            every += ids
-    if len(found) == len(every):
-        return set(), deletes
-    for each in found:
-        every.remove(each)
-    return set(every), deletes
-
-
-def _statements(seen: Seen, several: set[int]) -> Sequence[Statement]:
-    """Return the records of these variables as statements."""
-    return [
-        statement_of(kind, record, seen.heard, seen.sender)
-        for kind, records, ids in seen.parts
-        if not several.isdisjoint(ids)
-        for record, var_id in zip(records, ids, strict=True)
-        if var_id in several
-    ]
 
 
 RULES: tuple[type[Invariant], ...] = (
