@@ -31,18 +31,21 @@ from dcp_conformance.stateful.steps import (
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
-from dcp_spec.status import SRPStatus
+from dcp_spec.constants import ICType
+from dcp_spec.status import SRPStatus, VardisStatus
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import VarReqUpdate
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.receive import Receiver as BPReceiver
+from dcp_stack.bp.timing import BeaconSchedule
 from dcp_stack.bp.wire import Block, BPWire
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import PayloadTransmitted
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.database import Database
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
@@ -505,15 +508,80 @@ class StillAsking(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
+class Ticking(BeaconSchedule):
+    """Rounds a changed period down to ticks of 10 ms."""
+
+    def set_period(self, period):
+        super().set_period(period // (10 * MS) * 10 * MS)
+
+
+class OneOctet(BPWire):
+    """Skips blocks by the low octets of their lengths."""
+
+    def parse(self, octets):
+        length = int.from_bytes(octets[20:22], "big")
+        if length > 255:
+            octets = octets[:20] + bytes((0, length % 256)) + octets[22:]
+        return super().parse(octets)
+
+
+class Undated(Vardis):
+    """Returns the creation time of a variable as that of its last change."""
+
+    def read(self, var_id):
+        created = self._database.entries[var_id].spec.creation_time
+        return msgspec.structs.replace(super().read(var_id), t_stamp=self._core.clock.wall(created, near=0))
+
+
+class Disordered(Vardis):
+    """Checks the repetition count before the value."""
+
+    def create(self, var_id, prod_id, rep_cnt, *args, **kwargs):
+        if not rep_cnt:
+            return Confirm(VardisStatus.ILLEGAL_REPCOUNT)
+        return super().create(var_id, prod_id, rep_cnt, *args, **kwargs)
+
+
+class Packing(Composer):
+    """Passes a record over that does not fit, and takes smaller ones behind it."""
+
+    def _fitting(self, kind, queue, room, largest):
+        chosen, used = [], self._sizes.ic_header
+        for var_id in queue:
+            size = self._record_size(kind, var_id)
+            if used + size <= room and (kind is not ICType.SUMMARIES or len(chosen) < 20):
+                chosen.append(var_id)
+                used += size
+        return chosen, used if chosen else 0
+
+
+class NeverRenewed(Receiver):
+    """Counts the timeout of a variable from its creation."""
+
+    def _update(self, record, offset, now, wall):
+        entry = self._database.lookup(record.var_id)
+        since = None if entry is None else entry.refreshed
+        super()._update(record, offset, now, wall)
+        if entry is not None:
+            entry.refreshed = since
+
+
+def calling(method: str, **params: Any) -> Call:
+    """Return a service request."""
+    return Call(method, params)
+
+
 def ending(trait: Trait) -> Beacon:
     """Return a beacon whose last block is not one."""
     return Beacon(0, (Client(0, 4), Client(0, 60)), trait=trait)
 
 
 _SUBMITTED: Final = Call("SRP-UpdateSafetyData")
+_CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "value": 2, "timeout": 0})
 
 
 @pytest.mark.req("BP-RX-09", "BP-RX-14", "BP-PTI-02", "BP-TX-01", "SRP-SRV-03", "SRP-NT-01", "VD-SCR-05", "VD-PD-04")
+@pytest.mark.req("BP-RX-08", "VD-DB-03", "VD-CRE-13", "VD-PAY-06", "VD-PU-07")
 @pytest.mark.parametrize(
     ("fault", "steps", "requirement"),
     [
@@ -524,6 +592,30 @@ _SUBMITTED: Final = Call("SRP-UpdateSafetyData")
         (Tired, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(130)), "BP-TX-01"),
         (Thrifty, (_SUBMITTED, Wait(3), Call(_SUBMITTED.method, {"data": "again"}), Wait(3)), "SRP-SRV-03"),
         (Remembering, (Beacon(0, (Report(0, 5),)), Wait(2), Wait(40)), "SRP-RUN-02"),
+        (
+            Ticking,
+            (
+                registering(1, mode="BP_QMODE_REPEAT"), submitting(1),
+                calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=25), Wait(20),
+            ),
+            "BP-TX-01",
+        ),
+        (OneOctet, (registering(1), Beacon(0, (Client(4, 300), Client(0, 4)))), "BP-RX-08"),
+        (Undated, (_CREATED, Wait(3), calling("RTDB-Update", varId=0, value=2), Wait(1)), "VD-DB-03"),
+        (Disordered, (calling("RTDB-Create", varId=0, repCnt=0, descr=3, value=0, timeout=0),), "VD-CRE-13"),
+        (
+            Packing,
+            (Beacon(0, (Records("create", 6, 40, size=32, descr=2, repetitions=1, creation=1, uneven=True),)), Wait(1)),
+            "VD-PAY-06",
+        ),
+        (
+            NeverRenewed,
+            (
+                Beacon(0, (creating(0, 1, timeout=1200),)), Wait(11), Beacon(0, (Records("update", 0, 1, 2),)),
+                Wait(11),
+            ),
+            "VD-PU-07",
+        ),
         (Quiet, (Beacon(0, (creating(0, 1, timeout=1200),)), Wait(40)), "VD-SCR-04"),
         (
             StillAsking,

@@ -9,6 +9,8 @@ again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from operator import sub
+from statistics import stdev
 from typing import Any, Final
 
 import msgspec
@@ -25,6 +27,10 @@ _MOST: Final = 64
 _FLYING: Final = 2
 #: Number of intervals of beacons whose mean is judged.
 _INTERVALS: Final = 20
+#: Longest difference in ns between a period that was set and the one that the implementation can have instead.
+_RESOLUTION: Final = 20 * MS
+#: Standard errors by which a mean interval must be too short: intervals vary as the implementation chooses.
+_DEVIATIONS: Final = 5
 #: Number of beacons in succession that are compared with the announced times.
 _FORETOLD: Final = 5
 _MODES: Final = {each.value for each in QueueingMode}
@@ -85,6 +91,8 @@ class Delivery(msgspec.Struct):
     must: bool
     never: tuple[str, ...] = ()
     """The requirements that forbid the delivery."""
+    behind: bool = False
+    """Whether a block of an unregistered protocol is before it in its frame."""
 
 
 class Sizes(msgspec.Struct, frozen=True):
@@ -119,6 +127,8 @@ class BPModel:
         self.period = timing.period
         """The longest beacon period so far, ns."""
         self._interval = timing.period
+        self._exact = False
+        """Whether the implementation reports this period as its own, in the resolution that it has."""
         self._paced: list[int] = []
         """Times of beacons with the present period, ns."""
         self._pace_from = -(1 << 62)
@@ -354,7 +364,12 @@ class BPModel:
         self._paced.clear()
         self._early.clear()
         self._pace_from = time + 3 * max(self.period, period) + self.timing.flight
-        self.period, self._interval = max(self.period, period), period
+        self.period, self._interval, self._exact = max(self.period, period), period, False
+
+    def reported_period(self, period: int) -> None:
+        """Take the period into account that the implementation reports: its resolution may be lower."""
+        if abs(period - self._interval) <= _RESOLUTION:
+            self._interval, self._exact = period, True
 
     def _pace(self, time: int) -> Iterator[Finding]:
         """Judge the mean interval of beacons; single ones vary, and a beacon may be left out."""
@@ -364,8 +379,13 @@ class BPModel:
         if len(self._paced) <= _INTERVALS:
             return
         mean, always = (time - self._paced[0]) / _INTERVALS, self._paced[0] > self._lacking
+        least = 0.6 * self._interval
+        if self._exact:
+            # Of a mean of intervals that vary, and of a beacon that was late.
+            error = _DEVIATIONS * stdev(map(sub, self._paced[1:], self._paced)) / _INTERVALS**0.5
+            least = max(least, 0.95 * self._interval - error)
         self._paced.clear()
-        if mean + 2 * self.timing.flight / _INTERVALS < 0.6 * self._interval:
+        if mean + 2 * self.timing.flight / _INTERVALS < least:
             expected = f"a beacon every {self._interval / MS:g} ms on average"
             yield Finding(("BP-PAR-02", "BP-TX-01"), expected, f"every {mean / MS:.1f} ms")
         elif always and mean > 2.5 * self._interval + self._delay and not self.timing.lossy:
@@ -574,6 +594,7 @@ class BPModel:
         ``last``: why it must not deliver the last block, empty if it may; None if that is one like the others.
         ``sure``: whether it must deliver the others.
         """
+        behind = False
         for place, (prot_id, octets) in enumerate(blocks):
             client = self.clients.get(prot_id)
             never, open_ = forbidden, not sure
@@ -585,7 +606,8 @@ class BPModel:
                 never = ("BP-DRG-04", "BP-RX-08") if prot_id in self._gone else ("BP-RX-08",)
             # X46, X49: empty blocks, and blocks larger than registered, may be ignored.
             must = not (never or open_ or self.timing.lossy) and client is not None and 0 < len(octets) <= client.most
-            self.deliveries.append(Delivery(prot_id, octets, time, must, never))
+            self.deliveries.append(Delivery(prot_id, octets, time, must, never, behind))
+            behind = behind or client is None
 
     def indicated(self, prot_id: int, octets: bytes) -> Iterator[Finding]:
         """Judge a BP-ReceivePayload.indication about a client of the tester."""
@@ -606,9 +628,8 @@ class BPModel:
         limit = time - self.timing.late - self.timing.notice
         for each in self.deliveries:
             if each.must and each.time < limit:
-                yield Finding(
-                    ("BP-RX-07",), f"an indication of {_brief(each.octets)} to {each.prot_id}", "no indication"
-                )
+                which = ("BP-RX-07", "BP-RX-08") if each.behind else ("BP-RX-07",)
+                yield Finding(which, f"an indication of {_brief(each.octets)} to {each.prot_id}", "no indication")
         self.deliveries = [each for each in self.deliveries if each.time >= limit - self.period]
         for each in self.deliveries:
             each.must = each.must and each.time >= limit

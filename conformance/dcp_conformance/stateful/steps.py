@@ -73,6 +73,8 @@ class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):
     again: bool = False
     """True to send the same octets as in the previous value."""
     fill: Fill = ""
+    uneven: bool = False
+    """True if only every third value is of this size, and the others are of one octet."""
 
 
 class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
@@ -148,7 +150,7 @@ def _block(block: Records | Report | Client) -> str:
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):
-        more += f", {block.size} octets{_octets(block)}"
+        more += f", {block.size} octets{_octets(block)}{', of which two of three have one' if block.uneven else ''}"
     if block.kind == "create":
         by = f"created by {_node(block.producer)} at {block.creation}"
         more += f", descr {block.descr} octets, repCnt {block.repetitions}, {by}"
