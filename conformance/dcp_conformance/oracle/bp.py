@@ -91,7 +91,7 @@ class Delivery(msgspec.Struct):
     must: bool
     never: tuple[str, ...] = ()
     """The requirements that forbid the delivery."""
-    behind: bool = False
+    skipped: bool = False
     """Whether a block of an unregistered protocol is before it in its frame."""
 
 
@@ -594,7 +594,7 @@ class BPModel:
         ``last``: why it must not deliver the last block, empty if it may; None if that is one like the others.
         ``sure``: whether it must deliver the others.
         """
-        behind = False
+        skipped = False
         for place, (prot_id, octets) in enumerate(blocks):
             client = self.clients.get(prot_id)
             never, open_ = forbidden, not sure
@@ -606,8 +606,8 @@ class BPModel:
                 never = ("BP-DRG-04", "BP-RX-08") if prot_id in self._gone else ("BP-RX-08",)
             # X46, X49: empty blocks, and blocks larger than registered, may be ignored.
             must = not (never or open_ or self.timing.lossy) and client is not None and 0 < len(octets) <= client.most
-            self.deliveries.append(Delivery(prot_id, octets, time, must, never, behind))
-            behind = behind or client is None
+            self.deliveries.append(Delivery(prot_id, octets, time, must, never, skipped))
+            skipped = skipped or client is None
 
     def indicated(self, prot_id: int, octets: bytes) -> Iterator[Finding]:
         """Judge a BP-ReceivePayload.indication about a client of the tester."""
@@ -628,7 +628,7 @@ class BPModel:
         limit = time - self.timing.late - self.timing.notice
         for each in self.deliveries:
             if each.must and each.time < limit:
-                which = ("BP-RX-07", "BP-RX-08") if each.behind else ("BP-RX-07",)
+                which = ("BP-RX-07", "BP-RX-08") if each.skipped else ("BP-RX-07",)
                 yield Finding(which, f"an indication of {_brief(each.octets)} to {each.prot_id}", "no indication")
         self.deliveries = [each for each in self.deliveries if each.time >= limit - self.period]
         for each in self.deliveries:

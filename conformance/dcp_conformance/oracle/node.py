@@ -338,7 +338,7 @@ class NodeModel:
             last = ()
         self.bp.received(blocks, time, forbidden, last, sure=sure)
         closed = forbidden or (() if self.bp.active else ("BP-RX-13", "BP-MGT-03"))
-        behind = False
+        skipped = False
         for prot_id, octets in blocks:
             if prot_id == BP_PROTID_SRP and self.codec.profile.srp.is_report:
                 try:
@@ -348,12 +348,12 @@ class NodeModel:
                 if isinstance(report, ExtendedSafetyData):
                     self.srp.received(report, self._values(report), time, closed)
             elif prot_id == BP_PROTID_VARDIS:
-                self._hear(octets, time, closed, behind=behind)
+                self._hear(octets, time, closed, skipped=skipped)
             elif prot_id not in self.bp.clients:
-                behind = True
+                skipped = True
 
-    def _hear(self, octets: bytes, time: int, closed: tuple[str, ...], *, behind: bool) -> None:
-        """Process a payload of VarDis. ``behind``: a block of an unregistered protocol is before it."""
+    def _hear(self, octets: bytes, time: int, closed: tuple[str, ...], *, skipped: bool) -> None:
+        """Process a payload of VarDis. ``skipped``: whether a block of an unregistered protocol is before it."""
         records: list[VardisRecord] = [
             each for container in self.codec.decode_containers(octets) for each in container.records
         ]
@@ -368,7 +368,7 @@ class NodeModel:
                 self.vardis.doubt(_variable(each), creation)
             return
         self.vardis.hear(records, time, self._number)
-        for var_id in {_variable(each) for each in records} if behind else ():
+        for var_id in {_variable(each) for each in records} if skipped else ():
             self.vardis.why[var_id] = (*self.vardis.why.get(var_id, ()), "BP-RX-08")
 
     def beacon(self, octets: bytes, time: int) -> Iterator[Finding]:

@@ -739,7 +739,7 @@ class NodeMachine(RuleBasedStateMachine):
         times=st.sampled_from((1, 2)),
     )  # fmt: skip
     def keep(self, event: str, times: int) -> None:
-        """Let most of the timeout of a variable pass, change it or not, and again: its age may begin anew."""
+        """Let most of the timeout of a variable pass, change it or not, and again: an update restarts the timeout."""
         number = self._next_to_expire() or 0
         known = self.driver.model.vardis.variables[self.executor.names.variable(number)]
         timeout = known.now.spec.timeout or 0 if known.now.spec is not None else 0
