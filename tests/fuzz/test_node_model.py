@@ -543,7 +543,7 @@ class Disordered(Vardis):
 
 
 class Packing(Composer):
-    """Passes a record over that does not fit, and takes smaller ones behind it."""
+    """Passes a record over that does not fit, and takes smaller ones after it."""
 
     def _fitting(self, kind, queue, room, largest):
         chosen, used = [], self._sizes.ic_header
