@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 import pytest
+from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.fuzz.findings.artefact import load, save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
 from dcp_conformance.oracle.judgement import MS, Timing
@@ -378,6 +379,20 @@ def test_the_entries_of_the_neighbour_table_are_compared(fault: type, requiremen
     steps = (Beacon(0, (Report(0, 5),)), Beacon(1, (Report(1, 6),)), Wait(2))
     assert judged(*steps) == ()
     assert requirement in judged(*steps, make=maker(node_with(fault)))
+
+
+@pytest.mark.req("SRP-SRV-04")
+@pytest.mark.parametrize(("value", "alone", "named"), [(0, False, False), (0, True, True), (5, False, True)], ids=str)
+def test_reports_of_zeros_may_be_of_an_application(value: int, alone: bool, named: bool) -> None:
+    executor = VirtualExecutor(CONFIG)
+    executor.alone = alone
+    model, own = Driver(executor).model.srp, CONFIG.node_id
+    model.submitted({"x": value, "y": "00"}, 0, 0, 0)
+    made = sampler(CONFIG.codec)
+    data = {each.name: 0 for each in CONFIG.profile.srp.safety_data}
+    reports = (made.report(own, 0, number, data) for number in range(2))
+    findings = [each for report in reports for each in model.sent(report, {"x": value, "y": "00"}, None, own, 0)]
+    assert any("SRP-SRV-04" in each.requirements for each in findings) is named
 
 
 class Picky(BPReceiver):
