@@ -43,6 +43,7 @@ from dcp_stack.bp.timing import BeaconSchedule
 from dcp_stack.bp.wire import Block, BPWire
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import PayloadTransmitted
+from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 from dcp_stack.vardis.compose import Composer
@@ -214,6 +215,29 @@ def test_a_notification_without_a_beacon_is_named_although_beacons_may_be_late()
         except Counterexample as error:
             found = error.finding.requirements
         assert found == expected
+
+
+@pytest.mark.req("BP-PTI-01")
+@pytest.mark.parametrize("shown", [1, 0])
+def test_one_notification_of_several_payloads_in_a_beacon_is_enough(shown: int) -> None:
+    class Telling(Node):
+        def take_effects(self):
+            effects = super().take_effects()
+            told = [place for place, each in enumerate(effects) if isinstance(each, PayloadTransmitted)]
+            return [each for place, each in enumerate(effects) if place not in told[shown:]]
+
+    period = CONFIG.bp.beacon_period_ms * MS
+    late = Timing(period=period, patience=12 * period, flight=period // 2, notice=period // 4, late=period // 4)
+    params = {**registering(3).params, "allowMultiplePayloads": True}
+    steps = (Call("BP-RegisterProtocol", params), Wait(2), submitting(3), Wait(3), submitting(3), Wait(8))
+    for timing in (None, late):
+        for make, expected in ((plain_node, ()), (maker(node_with(Telling)), () if shown else ("BP-PTI-01",))):
+            found: tuple[str, ...] = ()
+            try:
+                Driver(VirtualExecutor(CONFIG, make=make, timing=timing)).run(steps)
+            except Counterexample as error:
+                found = error.finding.requirements
+            assert found == expected
 
 
 @pytest.mark.req("SRP-RX-01")

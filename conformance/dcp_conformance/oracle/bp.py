@@ -59,6 +59,10 @@ class Client(msgspec.Struct):
     """Transmissions without their notification; negative if notifications came before their beacons."""
     untold: list[int] = msgspec.field(default_factory=list)
     """Times of these transmissions, ns."""
+    optional: list[int] = msgspec.field(default_factory=list)
+    """Times of further transmissions in the same beacons: one notification of a client and beacon may be enough."""
+    spare: list[int] = msgspec.field(default_factory=list)
+    """Times of notifications that may be about one of these, or about a beacon that was not received yet."""
     early: list[int] = msgspec.field(default_factory=list)
     """Times of notifications without their beacon, ns."""
     since: int = 0
@@ -454,7 +458,7 @@ class BPModel:
                 yield Finding(
                     ("BP-QM-07",), "one payload of a client in a beacon", f"{taken[prot_id]} of protocol {prot_id}"
                 )
-            yield from self._sent(client, octets, time)
+            yield from self._sent(client, octets, time, first=taken[prot_id] == 1)
         if not any(each.mode is _Q.REPEAT and each.prot_id in taken for each in self.clients.values()):
             self._lacking = time
         yield from self._pace(time)
@@ -483,10 +487,15 @@ class BPModel:
         if seqno != (before + 1) % (1 << 32):
             yield Finding(("BP-HDR-08",), f"sequence number {(before + 1) % (1 << 32)}", f"{seqno}")
 
-    def _sent(self, client: Client, octets: bytes, time: int) -> Iterator[Finding]:
+    def _sent(self, client: Client, octets: bytes, time: int, *, first: bool) -> Iterator[Finding]:
         client.told += 1
         if client.early:
             del client.early[0]
+        elif not first:
+            client.optional.append(time)
+        elif client.spare and client.spare[-1] > time - self.timing.flight:
+            client.spare.pop()
+            client.optional.append(time)
         elif client.told > 0:
             client.untold.append(time)
         if client.possible is None:
@@ -646,7 +655,8 @@ class BPModel:
             surplus = [each for each in client.early if each > client.since + self._slack]
             if surplus and surplus[0] < limit - self.timing.flight and not self.timing.lossy:
                 yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
-            client.early = [each for each in client.early if each >= limit - self.timing.flight]
+            for each in (client.early, client.optional, client.spare):
+                each[:] = [moment for moment in each if moment >= limit - self.timing.flight]
 
     def transmitted(self, prot_id: int, time: int, epoch: int | None = None) -> Iterator[Finding]:
         """Judge a BP-PayloadTransmitted.indication about a client of the tester, which came at ``time``.
@@ -661,9 +671,13 @@ class BPModel:
         if client is None or self.timing.lossy:
             return
         client.told -= 1
-        if not client.untold:
+        if client.untold:
+            del client.untold[0]
+        elif client.optional:
+            del client.optional[0]
+            client.spare.append(time)
+        else:
             client.early.append(time)
-        del client.untold[:1]
         if client.told < 0 and client.possible is not None and not self.timing.flight:
             yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.told = 0
