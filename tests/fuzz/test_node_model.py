@@ -469,6 +469,13 @@ class Lenient(BPWire):
         return found
 
 
+class Padded(BPWire):
+    """Delivers a last block that ends in the padding."""
+
+    def parse(self, octets):
+        return super().parse(octets[:11] + (len(octets) - 18).to_bytes(2, "big") + octets[13:])
+
+
 class Hasty(BeaconingProtocol):
     """Announces the beacon that contains the payload as the next one."""
 
@@ -554,6 +561,13 @@ class Ticking(BeaconSchedule):
         super().set_period(period // (10 * MS) * 10 * MS)
 
 
+class TickingUp(BeaconSchedule):
+    """Rounds a changed period up to ticks of 10 ms."""
+
+    def set_period(self, period):
+        super().set_period(-(-period // (10 * MS)) * 10 * MS)
+
+
 class OneOctet(BPWire):
     """Skips blocks by the low octets of their lengths."""
 
@@ -616,6 +630,7 @@ def ending(trait: Trait) -> Beacon:
 
 
 _SUBMITTED: Final = Call("SRP-UpdateSafetyData")
+_HASTENED: Final = calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=25)
 _CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "value": 2, "timeout": 0})
 
 
@@ -626,19 +641,14 @@ _CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "val
     [
         (Lenient, (registering(2, 100), ending("last block too long")), "BP-RX-09"),
         (Lenient, (registering(2, 100), ending("last block after the end, counted")), "BP-RX-14"),
+        (Padded, (registering(2, 200), ending("last block into the padding")), "BP-RX-09"),
         (Hasty, (registering(2), submitting(1), Wait(2)), "BP-PTI-02"),
         (Stale, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(30)), "BP-PTI-02"),
         (Tired, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(130)), "BP-TX-01"),
         (Thrifty, (_SUBMITTED, Wait(3), Call(_SUBMITTED.method, {"data": "again"}), Wait(3)), "SRP-SRV-03"),
         (Remembering, (Beacon(0, (Report(0, 5),)), Wait(2), Wait(40)), "SRP-RUN-02"),
-        (
-            Ticking,
-            (
-                registering(1, mode="BP_QMODE_REPEAT"), submitting(1),
-                calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=25), Wait(20),
-            ),
-            "BP-TX-01",
-        ),
+        (Ticking, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), _HASTENED, Wait(20)), "BP-TX-01"),
+        (TickingUp, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), _HASTENED, Wait(20)), "BP-TX-01"),
         (OneOctet, (registering(1), Beacon(0, (Client(4, 300), Client(0, 4)))), "BP-RX-08"),
         (Undated, (_CREATED, Wait(3), calling("RTDB-Update", varId=0, value=2), Wait(1)), "VD-DB-03"),
         (Disordered, (calling("RTDB-Create", varId=0, repCnt=0, descr=3, value=0, timeout=0),), "VD-CRE-13"),

@@ -383,16 +383,18 @@ class BPModel:
         if len(self._paced) <= _INTERVALS:
             return
         mean, always = (time - self._paced[0]) / _INTERVALS, self._paced[0] > self._lacking
-        least = 0.6 * self._interval
+        least, most = 0.6 * self._interval, 2.5 * self._interval + self._delay
         if self._exact:
-            # Of a mean of intervals that vary, and of a beacon that was late.
+            # Of a mean of intervals that vary.
             error = _DEVIATIONS * stdev(map(sub, self._paced[1:], self._paced)) / _INTERVALS**0.5
             least = max(least, 0.95 * self._interval - error)
+            if self.timing.whole:
+                most = min(most, 1.05 * self._interval + error)
         self._paced.clear()
-        if mean + 2 * self.timing.flight / _INTERVALS < least:
+        if mean + (2 * self.timing.flight + self.timing.late) / _INTERVALS < least:
             expected = f"a beacon every {self._interval / MS:g} ms on average"
             yield Finding(("BP-PAR-02", "BP-TX-01"), expected, f"every {mean / MS:.1f} ms")
-        elif always and mean > 2.5 * self._interval + self._delay and not self.timing.lossy:
+        elif always and mean > most and not self.timing.lossy:
             expected = f"a beacon every {self._interval / MS:g} ms on average, since a payload is repeated"
             yield Finding(("BP-TX-01",), expected, f"every {mean / MS:.1f} ms")
 

@@ -333,7 +333,7 @@ class NodeModel:
         self._number += 1
         # X48: a receiver may discard a frame with another number of blocks.
         sure = last is None or self._readings.get("X48") == "deliver-blocks"
-        if last == ("BP-RX-14",) and self._readings.get("X02") != "length-field":
+        if last is not None and "BP-RX-14" in last and self._readings.get("X02") != "length-field":
             # The end of the frame may decide, and not that of the beacon.
             last = ()
         self.bp.received(blocks, time, forbidden, last, sure=sure)

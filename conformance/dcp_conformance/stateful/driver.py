@@ -397,6 +397,8 @@ class Driver:
             time = executor.now()
             executor.send(octets, address, len(blocks))
             contents = [(each.protocol_id, each.octets) for each in blocks]
+            if step.trait == "last block into the padding":
+                contents[-1] = blocks[-1].protocol_id, blocks[-1].octets + _PADDING["padded"]
             self.model.received(contents, time, forbidden, ENDS.get(step.trait))
             self._sent = time
             self._alive()
@@ -517,6 +519,10 @@ class Driver:
             # A bearer pads short frames.
             more = 1 if len(whole) > _PADDED else 1000
             return make(blocks, lies={f"payloads[{count - 1}].length": len(blocks[-1].octets) + more})
+        if trait == "last block into the padding":
+            padding = _PADDING["padded"]
+            longer = len(blocks[-1].octets) + len(padding)
+            return make(blocks, lies={f"payloads[{count - 1}].length": longer}) + padding
         shorter = make(blocks[:-1], lies={"bp.numPayloads": count} if trait.endswith("counted") else {})
         return shorter + whole[len(shorter) :]
 

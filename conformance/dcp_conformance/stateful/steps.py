@@ -20,12 +20,14 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
 }  # fmt: skip
 Trait = Literal[
     "", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far",
-    "last block too long", "last block after the end", "last block after the end, counted",
+    "last block too long", "last block into the padding", "last block after the end",
+    "last block after the end, counted",
 ]  # fmt: skip
 """Unusual traits of beacons that a receiver must process like any other (BP-RX-10, BP-RX-14), or up to their ends."""
 #: Traits of the end of a beacon of payloads for clients, and the requirement by which its last block is not delivered.
 ENDS: Final[Mapping[Trait, tuple[str, ...]]] = {
-    "last block too long": ("BP-RX-09",), "last block after the end": ("BP-RX-14",),
+    "last block too long": ("BP-RX-09",), "last block into the padding": ("BP-RX-09", "BP-RX-14"),
+    "last block after the end": ("BP-RX-14",),
     "last block after the end, counted": ("BP-RX-14",),
 }  # fmt: skip
 Data = Literal["", "again", "near", "zeros", "far"]
