@@ -253,6 +253,12 @@ def _renewed(excess: int) -> tuple[Step, ...]:
     return (Beacon(0, (Report(0, 5),)), *again, *again, Wait(10))
 
 
+def test_a_reaction_may_take_some_long_periods() -> None:
+    slowed = calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=1900)
+    for wait in range(550, 570, 4):
+        assert judged(slowed, Wait(wait), Beacon(0, (Records("summary", 0),))) == ()
+
+
 @pytest.mark.req("BP-PAR-06")
 def test_a_rejected_period_leaves_the_one_that_is_set() -> None:
     values = [Call("BP-SetParameter", {"name": "BPPAR_BEACON_PERIOD", "value": value}) for value in (400, -100)]

@@ -454,6 +454,10 @@ class VardisModel(Oracle):
             self._scrubbing = max(self._scrubbing, period)
             self._passed.clear()
 
+    def set_window(self, window: int) -> None:
+        """Record a new longest time from a cause to the payload that shows it, ns; never a shorter one."""
+        self._window = max(self._window, window)
+
     # -- payloads of the node --------------------------------------------------------------------------------
 
     def payload(

@@ -300,6 +300,7 @@ class NodeModel:
             case "BPPAR_BEACON_PERIOD":
                 self._hold(time)
                 self.bp.set_period(round(value * MS), time)
+                vardis.set_window(8 * self.bp.period + self.timing.late)
             case "BPPAR_NETWORK_ID":
                 self._renamed = time
             case "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT":

@@ -82,7 +82,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {theme: tuple(actions.split()) for t
 }.items()}  # fmt: skip
 _ONE: Final = ("variable", "own-variable")
 _OFTEN: Final = {
-    "variable": 8, "own-variable": 4, "dissemination": 2, "timeouts": 4, "limits": 2, "neighbours": 7, "everything": 8,
+    "variable": 8, "own-variable": 4, "dissemination": 2, "timeouts": 4, "limits": 4, "neighbours": 7, "everything": 8,
     "registrations": 3, "rivals": 3, "inactivity": 4, "sizes": 3, "reception": 5, "parameters": 2,
 }  # fmt: skip
 #: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
@@ -221,6 +221,10 @@ class NodeMachine(RuleBasedStateMachine):
             self._begin(*beginning)
         elif theme == "timeouts" and self._vardis and self.executor.hears_vardis:
             self._begin(beginning[0] or "neighbour", beginning[1], beginning[2], timeout=1200)
+        elif theme == "limits" and self._vardis and self.executor.hears_vardis:
+            self.create(0, "", "most", 0, "")
+            self.take(Beacon(0, (self._record("create: later", 1, 1, self._limit("most", "REPETITIONS"), 0),)))
+            self.take(Wait(1))
         elif theme == "crowds" and self.executor.hears_vardis and self.executor.crowds > 32:
             self.crowd("create", 30 + few[0], ("most", 1)[few[1] % 2], 0, 1, 1 + few[2] % 30, uneven=True)
         elif theme == "rivals" and self.has("BP-RegisterProtocol"):
@@ -506,10 +510,10 @@ class NodeMachine(RuleBasedStateMachine):
         what=st.sampled_from(
             ("SUMMARIES", "REPETITIONS", "VALUE_LENGTH", "DESCRIPTION_LENGTH", "PAYLOAD_SIZE", "SCRUB")
         ),
-        value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)),
+        value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)), after=st.sampled_from(("", "back", "ask", "wait")),
     )  # fmt: skip
-    def change_vardis(self, what: str, value: int | str) -> None:
-        """Set a parameter of VarDis."""
+    def change_vardis(self, what: str, value: int | str, after: str = "") -> None:
+        """Set a parameter of VarDis; sometimes for a while only, or ask for records of variables after it."""
         model = self.driver.model
         name = "VARDISPAR_SCRUBBING_PERIOD" if what == "SCRUB" else f"VARDISPAR_MAX_{what}"
         if name not in self.driver.initial:
@@ -522,6 +526,13 @@ class NodeMachine(RuleBasedStateMachine):
             number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
         number = model.bounded(name, number)
         self._set("VD", name, number)
+        if after in ("back", "wait"):
+            self.take(Wait(3))
+        if after == "back":
+            self._set("VD", name, int(self.driver.initial[name]))
+        if after == "ask" and self.executor.hears_vardis:
+            asked = ((event, each) for each in range(2) for event in ("ask-create", "summary: older"))
+            self.take(Beacon(2, tuple(self._record(event, each, 1, 1, 0) for event, each in asked)))
 
     @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
     def shorten(self) -> None:
