@@ -253,6 +253,15 @@ def _renewed(excess: int) -> tuple[Step, ...]:
     return (Beacon(0, (Report(0, 5),)), *again, *again, Wait(10))
 
 
+@pytest.mark.req("VD-SCP-01")
+def test_a_removed_variable_is_asked_for_after_its_last_deletion_was_composed() -> None:
+    steps = (
+        Beacon(0, (Records("create", 6, 200, size=1, descr=7, creation=2),)), _SUBMITTED, Wait(1.2), _SUBMITTED,
+        Beacon(0, (Records("delete", 6, 30),)), Wait(2), Beacon(0, (Records("summary", 6, 200, 1),)),
+    )  # fmt: skip
+    assert judged(*steps, config=reference_config(get_codec("cpp-1.3"))) == ()
+
+
 def test_a_reaction_may_take_some_long_periods() -> None:
     slowed = calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=1900)
     for wait in range(550, 570, 4):
