@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 import pytest
+from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.fuzz.findings.artefact import load, save
 from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
 from dcp_conformance.oracle.judgement import MS, Timing
@@ -31,18 +32,22 @@ from dcp_conformance.stateful.steps import (
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
-from dcp_spec.status import SRPStatus
+from dcp_spec.constants import ICType
+from dcp_spec.status import SRPStatus, VardisStatus
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import VarReqUpdate
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.receive import Receiver as BPReceiver
+from dcp_stack.bp.timing import BeaconSchedule
 from dcp_stack.bp.wire import Block, BPWire
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import PayloadTransmitted
+from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.database import Database
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
@@ -212,6 +217,29 @@ def test_a_notification_without_a_beacon_is_named_although_beacons_may_be_late()
         assert found == expected
 
 
+@pytest.mark.req("BP-PTI-01")
+@pytest.mark.parametrize("shown", [1, 0])
+def test_one_notification_of_several_payloads_in_a_beacon_is_enough(shown: int) -> None:
+    class Telling(Node):
+        def take_effects(self):
+            effects = super().take_effects()
+            told = [place for place, each in enumerate(effects) if isinstance(each, PayloadTransmitted)]
+            return [each for place, each in enumerate(effects) if place not in told[shown:]]
+
+    period = CONFIG.bp.beacon_period_ms * MS
+    late = Timing(period=period, patience=12 * period, flight=period // 2, notice=period // 4, late=period // 4)
+    params = {**registering(3).params, "allowMultiplePayloads": True}
+    steps = (Call("BP-RegisterProtocol", params), Wait(2), submitting(3), Wait(3), submitting(3), Wait(8))
+    for timing in (None, late):
+        for make, expected in ((plain_node, ()), (maker(node_with(Telling)), () if shown else ("BP-PTI-01",))):
+            found: tuple[str, ...] = ()
+            try:
+                Driver(VirtualExecutor(CONFIG, make=make, timing=timing)).run(steps)
+            except Counterexample as error:
+                found = error.finding.requirements
+            assert found == expected
+
+
 @pytest.mark.req("SRP-RX-01")
 @pytest.mark.parametrize("excess", [1, -1])
 def test_a_report_of_a_wrong_length_does_not_renew_an_entry(excess: int) -> None:
@@ -223,6 +251,21 @@ def test_a_report_of_a_wrong_length_does_not_renew_an_entry(excess: int) -> None
 def _renewed(excess: int) -> tuple[Step, ...]:
     again = (Wait(20), Beacon(0, (Report(0, 6, excess=excess),)))
     return (Beacon(0, (Report(0, 5),)), *again, *again, Wait(10))
+
+
+@pytest.mark.req("VD-SCP-01")
+def test_a_removed_variable_is_asked_for_after_its_last_deletion_was_composed() -> None:
+    steps = (
+        Beacon(0, (Records("create", 6, 200, size=1, descr=7, creation=2),)), _SUBMITTED, Wait(1.2), _SUBMITTED,
+        Beacon(0, (Records("delete", 6, 30),)), Wait(2), Beacon(0, (Records("summary", 6, 200, 1),)),
+    )  # fmt: skip
+    assert judged(*steps, config=reference_config(get_codec("cpp-1.3"))) == ()
+
+
+def test_a_reaction_may_take_some_long_periods() -> None:
+    slowed = calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=1900)
+    for wait in range(550, 570, 4):
+        assert judged(slowed, Wait(wait), Beacon(0, (Records("summary", 0),))) == ()
 
 
 @pytest.mark.req("BP-PAR-06")
@@ -377,6 +420,20 @@ def test_the_entries_of_the_neighbour_table_are_compared(fault: type, requiremen
     assert requirement in judged(*steps, make=maker(node_with(fault)))
 
 
+@pytest.mark.req("SRP-SRV-04")
+@pytest.mark.parametrize(("value", "alone", "named"), [(0, False, False), (0, True, True), (5, False, True)], ids=str)
+def test_reports_of_zeros_may_be_of_an_application(value: int, alone: bool, named: bool) -> None:
+    executor = VirtualExecutor(CONFIG)
+    executor.alone = alone
+    model, own = Driver(executor).model.srp, CONFIG.node_id
+    model.submitted({"x": value, "y": "00"}, 0, 0, 0)
+    made = sampler(CONFIG.codec)
+    data = {each.name: 0 for each in CONFIG.profile.srp.safety_data}
+    reports = (made.report(own, 0, number, data) for number in range(2))
+    findings = [each for report in reports for each in model.sent(report, {"x": value, "y": "00"}, None, own, 0)]
+    assert any("SRP-SRV-04" in each.requirements for each in findings) is named
+
+
 class Picky(BPReceiver):
     """Drops beacons with unusual numbers, padding or senders, which it must take."""
 
@@ -425,6 +482,13 @@ class Lenient(BPWire):
             last = Block(int.from_bytes(octets[start : start + 2], "big"), rest, start)
             return msgspec.structs.replace(found, blocks=(*found.blocks, last))
         return found
+
+
+class Padded(BPWire):
+    """Delivers a last block that ends in the padding."""
+
+    def parse(self, octets):
+        return super().parse(octets[:11] + (len(octets) - 18).to_bytes(2, "big") + octets[13:])
 
 
 class Hasty(BeaconingProtocol):
@@ -505,25 +569,117 @@ class StillAsking(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
+class Ticking(BeaconSchedule):
+    """Rounds a changed period down to ticks of 10 ms."""
+
+    def set_period(self, period):
+        super().set_period(period // (10 * MS) * 10 * MS)
+
+
+class TickingUp(BeaconSchedule):
+    """Rounds a changed period up to ticks of 10 ms."""
+
+    def set_period(self, period):
+        super().set_period(-(-period // (10 * MS)) * 10 * MS)
+
+
+class OneOctet(BPWire):
+    """Skips blocks by the low octets of their lengths."""
+
+    def parse(self, octets):
+        length = int.from_bytes(octets[20:22], "big")
+        if length > 255:
+            octets = octets[:20] + bytes((0, length % 256)) + octets[22:]
+        return super().parse(octets)
+
+
+class Undated(Vardis):
+    """Returns the creation time of a variable as that of its last change."""
+
+    def read(self, var_id):
+        created = self._database.entries[var_id].spec.creation_time
+        return msgspec.structs.replace(super().read(var_id), t_stamp=self._core.clock.wall(created, near=0))
+
+
+class Disordered(Vardis):
+    """Checks the repetition count before the value."""
+
+    def create(self, var_id, prod_id, rep_cnt, *args, **kwargs):
+        if not rep_cnt:
+            return Confirm(VardisStatus.ILLEGAL_REPCOUNT)
+        return super().create(var_id, prod_id, rep_cnt, *args, **kwargs)
+
+
+class Packing(Composer):
+    """Passes a record over that does not fit, and takes smaller ones after it."""
+
+    def _fitting(self, kind, queue, room, largest):
+        chosen, used = [], self._sizes.ic_header
+        for var_id in queue:
+            size = self._record_size(kind, var_id)
+            if used + size <= room and (kind is not ICType.SUMMARIES or len(chosen) < 20):
+                chosen.append(var_id)
+                used += size
+        return chosen, used if chosen else 0
+
+
+class NeverRenewed(Receiver):
+    """Counts the timeout of a variable from its creation."""
+
+    def _update(self, record, offset, now, wall):
+        entry = self._database.lookup(record.var_id)
+        since = None if entry is None else entry.refreshed
+        super()._update(record, offset, now, wall)
+        if entry is not None:
+            entry.refreshed = since
+
+
+def calling(method: str, **params: Any) -> Call:
+    """Return a service request."""
+    return Call(method, params)
+
+
 def ending(trait: Trait) -> Beacon:
     """Return a beacon whose last block is not one."""
     return Beacon(0, (Client(0, 4), Client(0, 60)), trait=trait)
 
 
 _SUBMITTED: Final = Call("SRP-UpdateSafetyData")
+_HASTENED: Final = calling("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=25)
+_CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "value": 2, "timeout": 0})
 
 
 @pytest.mark.req("BP-RX-09", "BP-RX-14", "BP-PTI-02", "BP-TX-01", "SRP-SRV-03", "SRP-NT-01", "VD-SCR-05", "VD-PD-04")
+@pytest.mark.req("BP-RX-08", "VD-DB-03", "VD-CRE-13", "VD-PAY-06", "VD-PU-07")
 @pytest.mark.parametrize(
     ("fault", "steps", "requirement"),
     [
         (Lenient, (registering(2, 100), ending("last block too long")), "BP-RX-09"),
         (Lenient, (registering(2, 100), ending("last block after the end, counted")), "BP-RX-14"),
+        (Padded, (registering(2, 200), ending("last block into the padding")), "BP-RX-09"),
         (Hasty, (registering(2), submitting(1), Wait(2)), "BP-PTI-02"),
         (Stale, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(30)), "BP-PTI-02"),
         (Tired, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), Wait(130)), "BP-TX-01"),
         (Thrifty, (_SUBMITTED, Wait(3), Call(_SUBMITTED.method, {"data": "again"}), Wait(3)), "SRP-SRV-03"),
         (Remembering, (Beacon(0, (Report(0, 5),)), Wait(2), Wait(40)), "SRP-RUN-02"),
+        (Ticking, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), _HASTENED, Wait(20)), "BP-TX-01"),
+        (TickingUp, (registering(1, mode="BP_QMODE_REPEAT"), submitting(1), _HASTENED, Wait(20)), "BP-TX-01"),
+        (OneOctet, (registering(1), Beacon(0, (Client(4, 300), Client(0, 4)))), "BP-RX-08"),
+        (Undated, (_CREATED, Wait(3), calling("RTDB-Update", varId=0, value=2), Wait(1)), "VD-DB-03"),
+        (Disordered, (calling("RTDB-Create", varId=0, repCnt=0, descr=3, value=0, timeout=0),), "VD-CRE-13"),
+        (
+            Packing,
+            (Beacon(0, (Records("create", 6, 40, size=32, descr=2, repetitions=1, creation=1, uneven=True),)), Wait(1)),
+            "VD-PAY-06",
+        ),
+        (
+            NeverRenewed,
+            (
+                Beacon(0, (creating(0, 1, timeout=1200),)), Wait(11), Beacon(0, (Records("update", 0, 1, 2),)),
+                Wait(11),
+            ),
+            "VD-PU-07",
+        ),
         (Quiet, (Beacon(0, (creating(0, 1, timeout=1200),)), Wait(40)), "VD-SCR-04"),
         (
             StillAsking,

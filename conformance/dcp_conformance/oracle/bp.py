@@ -9,6 +9,8 @@ again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from operator import sub
+from statistics import stdev
 from typing import Any, Final
 
 import msgspec
@@ -25,6 +27,10 @@ _MOST: Final = 64
 _FLYING: Final = 2
 #: Number of intervals of beacons whose mean is judged.
 _INTERVALS: Final = 20
+#: Longest difference in ns between a period that was set and the one that the implementation can have instead.
+_RESOLUTION: Final = 20 * MS
+#: Standard errors by which a mean interval must be too short: intervals vary as the implementation chooses.
+_DEVIATIONS: Final = 5
 #: Number of beacons in succession that are compared with the announced times.
 _FORETOLD: Final = 5
 _MODES: Final = {each.value for each in QueueingMode}
@@ -53,6 +59,10 @@ class Client(msgspec.Struct):
     """Transmissions without their notification; negative if notifications came before their beacons."""
     untold: list[int] = msgspec.field(default_factory=list)
     """Times of these transmissions, ns."""
+    optional: list[int] = msgspec.field(default_factory=list)
+    """Times of further transmissions in the same beacons: one notification of a client and beacon may be enough."""
+    spare: list[int] = msgspec.field(default_factory=list)
+    """Times of notifications that may be about one of these, or about a beacon that was not received yet."""
     early: list[int] = msgspec.field(default_factory=list)
     """Times of notifications without their beacon, ns."""
     since: int = 0
@@ -85,6 +95,8 @@ class Delivery(msgspec.Struct):
     must: bool
     never: tuple[str, ...] = ()
     """The requirements that forbid the delivery."""
+    skipped: bool = False
+    """Whether a block of an unregistered protocol is before it in its frame."""
 
 
 class Sizes(msgspec.Struct, frozen=True):
@@ -119,6 +131,8 @@ class BPModel:
         self.period = timing.period
         """The longest beacon period so far, ns."""
         self._interval = timing.period
+        self._exact = False
+        """Whether the implementation reports this period as its own, in the resolution that it has."""
         self._paced: list[int] = []
         """Times of beacons with the present period, ns."""
         self._pace_from = -(1 << 62)
@@ -354,7 +368,12 @@ class BPModel:
         self._paced.clear()
         self._early.clear()
         self._pace_from = time + 3 * max(self.period, period) + self.timing.flight
-        self.period, self._interval = max(self.period, period), period
+        self.period, self._interval, self._exact = max(self.period, period), period, False
+
+    def reported_period(self, period: int) -> None:
+        """Take the period into account that the implementation reports: its resolution may be lower."""
+        if abs(period - self._interval) <= _RESOLUTION:
+            self._interval, self._exact = period, True
 
     def _pace(self, time: int) -> Iterator[Finding]:
         """Judge the mean interval of beacons; single ones vary, and a beacon may be left out."""
@@ -364,11 +383,18 @@ class BPModel:
         if len(self._paced) <= _INTERVALS:
             return
         mean, always = (time - self._paced[0]) / _INTERVALS, self._paced[0] > self._lacking
+        least, most = 0.6 * self._interval, 2.5 * self._interval + self._delay
+        if self._exact:
+            # Of a mean of intervals that vary.
+            error = _DEVIATIONS * stdev(map(sub, self._paced[1:], self._paced)) / _INTERVALS**0.5
+            least = max(least, 0.95 * self._interval - error)
+            if self.timing.whole:
+                most = min(most, 1.05 * self._interval + error)
         self._paced.clear()
-        if mean + 2 * self.timing.flight / _INTERVALS < 0.6 * self._interval:
+        if mean + (2 * self.timing.flight + self.timing.late) / _INTERVALS < least:
             expected = f"a beacon every {self._interval / MS:g} ms on average"
             yield Finding(("BP-PAR-02", "BP-TX-01"), expected, f"every {mean / MS:.1f} ms")
-        elif always and mean > 2.5 * self._interval + self._delay and not self.timing.lossy:
+        elif always and mean > most and not self.timing.lossy:
             expected = f"a beacon every {self._interval / MS:g} ms on average, since a payload is repeated"
             yield Finding(("BP-TX-01",), expected, f"every {mean / MS:.1f} ms")
 
@@ -434,7 +460,7 @@ class BPModel:
                 yield Finding(
                     ("BP-QM-07",), "one payload of a client in a beacon", f"{taken[prot_id]} of protocol {prot_id}"
                 )
-            yield from self._sent(client, octets, time)
+            yield from self._sent(client, octets, time, first=taken[prot_id] == 1)
         if not any(each.mode is _Q.REPEAT and each.prot_id in taken for each in self.clients.values()):
             self._lacking = time
         yield from self._pace(time)
@@ -463,10 +489,15 @@ class BPModel:
         if seqno != (before + 1) % (1 << 32):
             yield Finding(("BP-HDR-08",), f"sequence number {(before + 1) % (1 << 32)}", f"{seqno}")
 
-    def _sent(self, client: Client, octets: bytes, time: int) -> Iterator[Finding]:
+    def _sent(self, client: Client, octets: bytes, time: int, *, first: bool) -> Iterator[Finding]:
         client.told += 1
         if client.early:
             del client.early[0]
+        elif not first:
+            client.optional.append(time)
+        elif client.spare and client.spare[-1] > time - self.timing.flight:
+            client.spare.pop()
+            client.optional.append(time)
         elif client.told > 0:
             client.untold.append(time)
         if client.possible is None:
@@ -574,6 +605,7 @@ class BPModel:
         ``last``: why it must not deliver the last block, empty if it may; None if that is one like the others.
         ``sure``: whether it must deliver the others.
         """
+        skipped = False
         for place, (prot_id, octets) in enumerate(blocks):
             client = self.clients.get(prot_id)
             never, open_ = forbidden, not sure
@@ -585,7 +617,8 @@ class BPModel:
                 never = ("BP-DRG-04", "BP-RX-08") if prot_id in self._gone else ("BP-RX-08",)
             # X46, X49: empty blocks, and blocks larger than registered, may be ignored.
             must = not (never or open_ or self.timing.lossy) and client is not None and 0 < len(octets) <= client.most
-            self.deliveries.append(Delivery(prot_id, octets, time, must, never))
+            self.deliveries.append(Delivery(prot_id, octets, time, must, never, skipped))
+            skipped = skipped or client is None
 
     def indicated(self, prot_id: int, octets: bytes) -> Iterator[Finding]:
         """Judge a BP-ReceivePayload.indication about a client of the tester."""
@@ -606,9 +639,8 @@ class BPModel:
         limit = time - self.timing.late - self.timing.notice
         for each in self.deliveries:
             if each.must and each.time < limit:
-                yield Finding(
-                    ("BP-RX-07",), f"an indication of {_brief(each.octets)} to {each.prot_id}", "no indication"
-                )
+                which = ("BP-RX-07", "BP-RX-08") if each.skipped else ("BP-RX-07",)
+                yield Finding(which, f"an indication of {_brief(each.octets)} to {each.prot_id}", "no indication")
         self.deliveries = [each for each in self.deliveries if each.time >= limit - self.period]
         for each in self.deliveries:
             each.must = each.must and each.time >= limit
@@ -625,7 +657,8 @@ class BPModel:
             surplus = [each for each in client.early if each > client.since + self._slack]
             if surplus and surplus[0] < limit - self.timing.flight and not self.timing.lossy:
                 yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
-            client.early = [each for each in client.early if each >= limit - self.timing.flight]
+            for each in (client.early, client.optional, client.spare):
+                each[:] = [moment for moment in each if moment >= limit - self.timing.flight]
 
     def transmitted(self, prot_id: int, time: int, epoch: int | None = None) -> Iterator[Finding]:
         """Judge a BP-PayloadTransmitted.indication about a client of the tester, which came at ``time``.
@@ -640,9 +673,13 @@ class BPModel:
         if client is None or self.timing.lossy:
             return
         client.told -= 1
-        if not client.untold:
+        if client.untold:
+            del client.untold[0]
+        elif client.optional:
+            del client.optional[0]
+            client.spare.append(time)
+        else:
             client.early.append(time)
-        del client.untold[:1]
         if client.told < 0 and client.possible is not None and not self.timing.flight:
             yield Finding(("BP-PTI-01",), "an indication for each payload in a beacon", "one without a payload")
             client.told = 0

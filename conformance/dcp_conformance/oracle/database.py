@@ -10,7 +10,7 @@ from dcp_spec.constants import Features, ICType, SpecVersion
 
 from dcp_codec.values import Container, VarCreate, VardisRecord, VarSpec
 
-from .judgement import Expected, Finding
+from .judgement import MS, Expected, Finding
 from .knowledge import NEVER, VERSIONS, Limits, Obligation, State, Variable, Version
 from .model import TAUGHT, processing_order
 from .queues import Order
@@ -89,6 +89,10 @@ class VardisModel(Oracle):
         self._lossy: bool = times.pop("lossy", False)
         self._whole: bool = times.pop("whole", False)
         """Whether a received payload is processed as a whole, and no payload is composed in between."""
+        self._clock: int | None = times.pop("clock", None)
+        """Largest difference between the node's clock and the tester's; None if it is unknown."""
+        self._offset = 0
+        """Time since 1970 minus the time of the tester at the last confirm, ns."""
         self._scrubs: bool | None = times.pop("scrubs", None)
         """Whether the node scrubs the variables of others (X26); None if neither is known."""
         super().__init__(own_id, features, width, limits, **times)
@@ -255,9 +259,10 @@ class VardisModel(Oracle):
         return expected(method, params, situations, self._limits, self._features, active=self.active)
 
     def confirmed(
-        self, method: str, params: Mapping[str, Any], result: Mapping[str, Any], time: int
+        self, method: str, params: Mapping[str, Any], result: Mapping[str, Any], time: int, offset: int = 0
     ) -> Iterator[Finding]:
-        """Take the confirm of a service with an expected status into account."""
+        """Take the confirm of a service with an expected status into account. ``offset``: wall clock minus ``time``."""
+        self._offset = offset
         if method in ("VD-MGMT-Activate", "VD-MGMT-Deactivate"):
             self._switch(method == "VD-MGMT-Activate", time)
             return
@@ -323,6 +328,15 @@ class VardisModel(Oracle):
         if value is not None and state == "alive" and value.lower() != version.value.hex():
             self.doubt(var_id)
             yield Finding(self._reasons(var_id, which), f"value {_brief(version.value.hex())}", _brief(value))
+            return
+        stamp = row.get("tStamp")
+        if self._clock is None or type(stamp) is not int or state != "alive":
+            return
+        off = stamp - self._offset - version.since
+        if not -self._clock - self._latency <= off <= self._clock + self._latency + self.late:
+            reasons = (*which, "VD-DB-03", *self._reasons(var_id, ())[:1])
+            expected = f"the time of the last change of variable {var_id} as tStamp"
+            yield Finding(tuple(dict.fromkeys(reasons)), expected, f"a time {off / MS:g} ms later")
 
     def _scrubbed(self, var_id: int, state: State, time: int) -> Iterator[Finding]:
         """Take the state of a variable of another node after its timeout into account (X26)."""
@@ -439,6 +453,10 @@ class VardisModel(Oracle):
         if self._scrubbing is not None:
             self._scrubbing = max(self._scrubbing, period)
             self._passed.clear()
+
+    def set_window(self, window: int) -> None:
+        """Record a new longest time from a cause to the payload that shows it, ns; never a shorter one."""
+        self._window = max(self._window, window)
 
     # -- payloads of the node --------------------------------------------------------------------------------
 
@@ -569,15 +587,16 @@ class VardisModel(Oracle):
                     times.append(due.time)
                 return any(each + self.late < since for each in times)
 
-            for passed, first, place, together in self._order.payload(kind, ids, since - self.late, queued, shown):
+            for passed, first, place, together in self._order.payload(
+                kind, ids, since - self.late, queued, shown, whole=self._whole
+            ):
                 which = place.requirement if place.appended is not None and place.requirement else _ROTATION[kind]
                 if kind in (_CREATES, _DELETES, _UPDATES) and place.appended is not None:
                     which = "VD-PAY-06"
-                if together:
-                    which = "VD-RX-09"
+                reasons = ("VD-RX-09", which) if together else (which,)
                 expected = f"{kind.label} of variable {passed}, which was queued before {first}"
                 # It is not there at all, if the event before had no effect.
-                causes = (which, *(("VD-CMP-03",) if kind is _SUMMARIES else ()), *self.why.get(passed, ())[:1])
+                causes = (*reasons, *(("VD-CMP-03",) if kind is _SUMMARIES else ()), *self.why.get(passed, ())[:1])
                 yield Finding(tuple(dict.fromkeys(causes)), expected, f"that of {first} first")
                 self._order.forget()
                 break

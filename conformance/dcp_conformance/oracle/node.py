@@ -32,6 +32,13 @@ from .srp import SRPModel
 _REPORT = 300
 
 
+#: By service: the requirement about the order of its checks.
+_ORDERS = {
+    "BP-RegisterProtocol": "BP-REG-09", "BP-TransmitPayload": "BP-TXP-10", "RTDB-Create": "VD-CRE-13",
+    "RTDB-Delete": "VD-DEL-07", "RTDB-Update": "VD-UPD-11", "RTDB-Read": "VD-REA-05",
+}  # fmt: skip
+
+
 class NodeModel:
     """One node as its specification has it. All times are ns of the tester's clock."""
 
@@ -106,7 +113,7 @@ class NodeModel:
             self.own_id, self._features, profile.types.var_seqno.width, limits, room,
             latency=timing.flight, window=max(timing.patience, 8 * timing.period) + timing.late, late=timing.late,
             spare=-(-timing.late // timing.period),
-            lossy=timing.lossy, whole=timing.whole, in_order=timing.flight <= 3 * timing.period,
+            lossy=timing.lossy, whole=timing.whole, clock=timing.clock, in_order=timing.flight <= 3 * timing.period,
             scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
             scrubs=None if declared is None else declared == "every-node",
         )  # fmt: skip
@@ -217,8 +224,11 @@ class NodeModel:
             return
         first = expected[0].requirement
         reasons: tuple[str, ...] = (first,)
+        if not (expected[0].status.endswith("-OK") or given.endswith("-OK")) and (order := _ORDERS.get(method)):
+            # Both are refusals.
+            reasons = (first, order)
         if method.startswith("RTDB-") and params.get("varId") in self.vardis.mine:
-            reasons = (*self.vardis.differs(params["varId"], first), *refused_by(method, given))
+            reasons = (*reasons, *self.vardis.differs(params["varId"], first), *refused_by(method, given))
         elif method.startswith("BP-") and not self.bp.active:
             reasons = (first, "BP-MGT-04")
         shown = "" if len(params) > 12 else f"{method} answers {either([each for each in expected if each.status])}"
@@ -241,6 +251,10 @@ class NodeModel:
             # The confirm of a rejected value may be positive (BP-PAR-07).
             if ok and self._valid(params["name"], params["value"]):
                 self._set(params["name"], params["value"], time)
+        elif method == "BP-GetParameters":
+            period = (result.get("parameters") or {}).get("BPPAR_BEACON_PERIOD")
+            if isinstance(period, int | float):
+                self.bp.reported_period(round(period * MS))
         elif method == "SRP-UpdateSafetyData":
             if ok:
                 self.srp.submitted(dict(params["sData"]), before[1], after[1], time)
@@ -249,7 +263,7 @@ class NodeModel:
             only = _octets(params["nodeId"]) if "nodeId" in params else None
             yield from self.srp.listed(rows, time, after[1] - after[0], only)
         elif method.startswith(("RTDB-", "VD-MGMT-")):
-            yield from self.vardis.confirmed(method, params, result, time)
+            yield from self.vardis.confirmed(method, params, result, time, after[1] - after[0])
         else:
             yield from self.bp.confirmed(method, params, result, time)
 
@@ -286,6 +300,7 @@ class NodeModel:
             case "BPPAR_BEACON_PERIOD":
                 self._hold(time)
                 self.bp.set_period(round(value * MS), time)
+                vardis.set_window(8 * self.bp.period + self.timing.late)
             case "BPPAR_NETWORK_ID":
                 self._renamed = time
             case "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT":
@@ -319,11 +334,12 @@ class NodeModel:
         self._number += 1
         # X48: a receiver may discard a frame with another number of blocks.
         sure = last is None or self._readings.get("X48") == "deliver-blocks"
-        if last == ("BP-RX-14",) and self._readings.get("X02") != "length-field":
+        if last is not None and "BP-RX-14" in last and self._readings.get("X02") != "length-field":
             # The end of the frame may decide, and not that of the beacon.
             last = ()
         self.bp.received(blocks, time, forbidden, last, sure=sure)
         closed = forbidden or (() if self.bp.active else ("BP-RX-13", "BP-MGT-03"))
+        skipped = False
         for prot_id, octets in blocks:
             if prot_id == BP_PROTID_SRP and self.codec.profile.srp.is_report:
                 try:
@@ -333,9 +349,12 @@ class NodeModel:
                 if isinstance(report, ExtendedSafetyData):
                     self.srp.received(report, self._values(report), time, closed)
             elif prot_id == BP_PROTID_VARDIS:
-                self._hear(octets, time, closed)
+                self._hear(octets, time, closed, skipped=skipped)
+            elif prot_id not in self.bp.clients:
+                skipped = True
 
-    def _hear(self, octets: bytes, time: int, closed: tuple[str, ...]) -> None:
+    def _hear(self, octets: bytes, time: int, closed: tuple[str, ...], *, skipped: bool) -> None:
+        """Process a payload of VarDis. ``skipped``: whether a block of an unregistered protocol is before it."""
         records: list[VardisRecord] = [
             each for container in self.codec.decode_containers(octets) for each in container.records
         ]
@@ -350,6 +369,8 @@ class NodeModel:
                 self.vardis.doubt(_variable(each), creation)
             return
         self.vardis.hear(records, time, self._number)
+        for var_id in {_variable(each) for each in records} if skipped else ():
+            self.vardis.why[var_id] = (*self.vardis.why.get(var_id, ()), "BP-RX-08")
 
     def beacon(self, octets: bytes, time: int) -> Iterator[Finding]:
         """Judge a beacon of the node that was received at ``time``."""

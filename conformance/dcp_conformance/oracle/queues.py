@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 from dcp_spec.constants import ICType
 
+from .knowledge import NEVER
+
 
 class Place(NamedTuple):
     """The last time at which an entry was put at the tail of its queue."""
@@ -90,6 +92,8 @@ class Order:
         since: int,
         queued: Callable[[int, int], bool],
         shown: Collection[int] = (),
+        *,
+        whole: bool = False,
     ) -> Iterator[tuple[int, int, Place, bool]]:
         """Yield (entry that was passed over, entry that came before it, place of the latter) of a container.
 
@@ -97,7 +101,7 @@ class Order:
 
         ``since``: earliest time of the composition. ``queued`` returns whether an entry was surely queued, given its
         identifier and that time. ``shown``: entries of which the payload shows that it was composed after they were
-        appended last.
+        appended last. ``whole``: whether no payload is composed between the records of a received one.
         """
         places = self._places[kind]
         there = {var_id: place for place, var_id in enumerate(var_ids)}
@@ -110,8 +114,9 @@ class Order:
             for other, place in places.items():
                 if other == var_id or there.get(other, 1 << 30) < position or not self._ahead(place, mine):
                     continue
-                if queued(other, since):
-                    yield other, var_id, mine, mine.container is not None and place.event == mine.event
+                together = mine.container is not None and place.event == mine.event
+                if queued(other, NEVER if together and whole and var_id in shown else since):
+                    yield other, var_id, mine, together
                     break
 
     def sent(self, kind: ICType, var_ids: Sequence[int], since: int, shown: Collection[int] = ()) -> None:

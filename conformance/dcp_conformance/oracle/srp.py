@@ -209,7 +209,7 @@ class SRPModel:
             yield Finding(which, f"nodeId {_name(sender)}", _name(report.node_id))
             return
         mine = [each for each in self.handed if each.values == values]
-        if not mine:
+        if not mine or not (self._alone or any(map(_distinct, values.values()))):
             return
         if mine[-1] is self.handed[-1]:
             self._awaited = None
@@ -294,6 +294,11 @@ class SRPModel:
 
 def _name(node_id: bytes) -> str:
     return node_id.hex(":") if len(node_id) <= 8 else node_id.decode(errors="replace")
+
+
+def _distinct(value: Any) -> bool:
+    """Return whether an application is unlikely to submit a value by itself: zeros are the initial values of many."""
+    return bool(value.strip("0") if isinstance(value, str) else value)
 
 
 def _alike(shown: Mapping[str, Any], values: Mapping[str, Any]) -> bool:

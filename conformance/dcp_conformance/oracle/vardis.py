@@ -25,6 +25,7 @@ _SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
 _UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
 #: Instructions with a repetition counter.
 _REPEATED: Final = frozenset({_CREATES, _DELETES, _UPDATES})
+_ASKED: Final = (_CREATE_REQUESTS, 0)
 _ABOUT: Final = {
     _SUMMARIES: ("VD-CMP-04", "VD-CMP-05"),
     _DELETES: ("VD-PD-04",),
@@ -278,7 +279,11 @@ class Oracle(Model):
     def _remove_after_last_delete(self, variable: Variable, time: int) -> None:
         """Remove a variable after the last VarDelete (before 2.0)."""
         if variable.repetitions.counted(DELETION) >= max(variable.repetitions.allowed(DELETION), 1):
+            # It may have been asked for after the last VarDelete was composed.
+            asked = variable.repetitions.get(_ASKED)
             variable.repetitions.clear()
+            if asked is not None:
+                variable.repetitions[_ASKED] = asked
             self._become(variable, Version(time, "unknown", None, 0, b""))
 
 

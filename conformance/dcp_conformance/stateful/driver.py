@@ -226,7 +226,7 @@ class Driver:
         answer = self._asked(step.method, params)
         if answer is None:
             return
-        self._look_after(step.method, params, answer)
+        self._look_after(step.method, params)
 
     def _asked(self, method: str, params: dict[str, Any]) -> Answer | None:
         """Call a service and judge the answer; None if there is none that can be judged."""
@@ -346,7 +346,7 @@ class Driver:
             self._asked(method, params)
             self._row = row
 
-    def _look_after(self, method: str, params: dict[str, Any], answer: Answer) -> None:
+    def _look_after(self, method: str, params: dict[str, Any]) -> None:
         """Query what a service may have changed."""
         if not self.executor.looks:
             return
@@ -360,7 +360,8 @@ class Driver:
                 self._look(_QUERY, protId=each)
         if "varId" in params:
             self._look(_DESCRIBE, varId=params["varId"])
-        del answer
+        if params.get("name") == "BPPAR_BEACON_PERIOD":
+            self._look("BP-GetParameters")
 
     def _look_around(self) -> None:
         """Query the whole state."""
@@ -396,6 +397,8 @@ class Driver:
             time = executor.now()
             executor.send(octets, address, len(blocks))
             contents = [(each.protocol_id, each.octets) for each in blocks]
+            if step.trait == "last block into the padding":
+                contents[-1] = blocks[-1].protocol_id, blocks[-1].octets + _PADDING["padded"]
             self.model.received(contents, time, forbidden, ENDS.get(step.trait))
             self._sent = time
             self._alive()
@@ -516,6 +519,10 @@ class Driver:
             # A bearer pads short frames.
             more = 1 if len(whole) > _PADDED else 1000
             return make(blocks, lies={f"payloads[{count - 1}].length": len(blocks[-1].octets) + more})
+        if trait == "last block into the padding":
+            padding = _PADDING["padded"]
+            longer = len(blocks[-1].octets) + len(padding)
+            return make(blocks, lies={f"payloads[{count - 1}].length": longer}) + padding
         shorter = make(blocks[:-1], lies={"bp.numPayloads": count} if trait.endswith("counted") else {})
         return shorter + whole[len(shorter) :]
 
@@ -523,7 +530,8 @@ class Driver:
         names, profile = self.executor.names, self.executor.codec.profile
         var_id = self._variable(number)
         seqno = each.seqno % (1 << 8 * profile.types.var_seqno.width)
-        value = self._octets(each.size, again=each.again, fill=each.fill) if each.kind in ("create", "update") else b""
+        size = 1 if each.uneven and number % 3 else each.size
+        value = self._octets(size, again=each.again, fill=each.fill) if each.kind in ("create", "update") else b""
         if each.kind != "create":
             return self._made.record(_KINDS[each.kind], var_id, seqno, value)
         producer = self.executor.own_id if each.producer == OWN else names.neighbour(each.producer)[0]

@@ -18,6 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from dcp_conformance.errors import NeverAnsweredError, NoAnswerError
 from dcp_conformance.oracle.bp import Client as Registration
 from dcp_conformance.oracle.knowledge import NO_CREATION
+from dcp_conformance.oracle.knowledge import Variable as Knowledge
 
 from .driver import Counterexample, Driver
 from .executor import TWIN, Executor
@@ -70,8 +71,8 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {theme: tuple(actions.split()) for t
     "reports": "submit_safety_data submit_safety_data wait report repeat switch_bp submit",
     "services": "create update delete create wait records switch_vardis outlast repeat",
     "dissemination": "create records records delete wait outlast repeat",
-    "timeouts": "create outlast records outlast wait update outlast repeat",
-    "limits": "change_vardis create update records wait shorten change_vardis",
+    "timeouts": "create outlast records outlast wait update keep keep repeat",
+    "limits": "change_vardis create update records wait shorten widen change_vardis",
     "crowds": "crowd narrow crowd wait create crowd change_vardis",
     "variable": "records records records records create update delete wait repeat",
     "own-variable": "create update update delete wait wait records repeat",
@@ -81,7 +82,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {theme: tuple(actions.split()) for t
 }.items()}  # fmt: skip
 _ONE: Final = ("variable", "own-variable")
 _OFTEN: Final = {
-    "variable": 8, "own-variable": 4, "dissemination": 2, "timeouts": 4, "limits": 2, "neighbours": 7, "everything": 8,
+    "variable": 8, "own-variable": 4, "dissemination": 2, "timeouts": 4, "limits": 4, "neighbours": 7, "everything": 8,
     "registrations": 3, "rivals": 3, "inactivity": 4, "sizes": 3, "reception": 5, "parameters": 2,
 }  # fmt: skip
 #: Themes by how often they are drawn: the states and events of one variable are more than those of all others.
@@ -126,6 +127,13 @@ RECORDS: Final = (
     "update: value too long", "update: largest", "summary: newer", "summary: older", "summary: equal",
     "summary: opposite", "ask-update: older", "ask-update: equal", "ask-update: newer", "ask-create",
 )  # fmt: skip
+#: Events that do not renew a variable.
+_KEEPING: Final = (
+    "update: equal", "update: older", "summary: equal", "summary: newer", "create: same", "ask-update: older",
+    "ask-create",
+)  # fmt: skip
+#: What is known of a variable that no step was about.
+_NONE: Final = Knowledge()
 #: Numbers of creations in the order of their times. From 8 on they are later than the variables of the node.
 _CREATIONS: Final = (1, 2, 3, 4, 5, 6, 7, *range(9, 40))
 #: Sizes of value and description by what is special about a record or a call.
@@ -133,6 +141,8 @@ _FLAWS: Final[dict[str, tuple[int | str, int | str]]] = {
     "no value": (0, 3), "value too long": ("above", 3), "no description": (2, 0), "description too long": (2, "above"),
     "largest": ("most", "most"), "shortest": (1, 1),
 }  # fmt: skip
+#: What a request can be refused for, beside another reason.
+_REFUSED: Final = ("no value", "value too long", "description too long", "repCnt 0", "repCnt too large")
 #: Numbers of variables at once: few, more than fit into a small payload, more than half of a container.
 _CROWDS: Final = st.sampled_from((6, 30, 140, 200))
 
@@ -209,6 +219,14 @@ class NodeMachine(RuleBasedStateMachine):
         self.theme = THEMES[theme] or tuple(tuple(ACTIONS)[each % len(ACTIONS)] for each in few)
         if theme in _ONE and self._vardis and self.executor.hears_vardis:
             self._begin(*beginning)
+        elif theme == "timeouts" and self._vardis and self.executor.hears_vardis:
+            self._begin(beginning[0] or "neighbour", beginning[1], beginning[2], timeout=1200)
+        elif theme == "limits" and self._vardis and self.executor.hears_vardis:
+            self.create(0, "", "most", 0, "")
+            self.take(Beacon(0, (self._record("create: later", 1, 1, self._limit("most", "REPETITIONS"), 0),)))
+            self.take(Wait(1))
+        elif theme == "crowds" and self.executor.hears_vardis and self.executor.crowds > 32:
+            self.crowd("create", 30 + few[0], ("most", 1)[few[1] % 2], 0, 1, 1 + few[2] % 30, uneven=True)
         elif theme == "rivals" and self.has("BP-RegisterProtocol"):
             # Payloads of which only one fits into a beacon.
             for mode in (registration["mode"], QueueingMode.QUEUE_DROPTAIL):
@@ -220,12 +238,12 @@ class NodeMachine(RuleBasedStateMachine):
         elif "register" in self.theme and self.has("BP-RegisterProtocol"):
             self.register(**registration)
 
-    def _begin(self, creator: str, deleted: bool, later: bool) -> None:
+    def _begin(self, creator: str, deleted: bool, later: bool, timeout: int = 0) -> None:
         """Bring the variable of the sequence into a state."""
         if creator == "node":
-            self.create(0, "", 1, 0, "")
+            self.create(0, "", 1, timeout, "")
         elif creator:
-            self.take(Beacon(0, (self._record("create: later", 0, 1, 1, 0),)))
+            self.take(Beacon(0, (self._record("create: later", 0, 1, 1, timeout),)))
         if deleted and creator == "node":
             self.delete(0)
         elif deleted:
@@ -405,7 +423,7 @@ class NodeMachine(RuleBasedStateMachine):
     @action(
         lambda self: self.has("BP-RegisterProtocol"), sender=NEIGHBOURS, number=PROTOCOLS,
         size=st.sampled_from((4, 1, 20, 4, 0, "most", 900)), count=st.sampled_from((1, 1, 1, 1, 2, 140)),
-        octets=_OCTETS, before=st.lists(st.sampled_from((0, 1, 2, 3, 4, 5, "report", "record")), max_size=4),
+        octets=_OCTETS, before=st.lists(st.sampled_from((0, 1, 2, 3, 4, 5, "report", "record", "long")), max_size=4),
         shape=st.sampled_from((*_UNUSUAL, *ENDS)),
     )  # fmt: skip
     def payload(
@@ -415,7 +433,7 @@ class NodeMachine(RuleBasedStateMachine):
         client = self.registrations().get(number)
         most = int(size) if size != "most" else client.most if client is not None else 20
         # As far as they fit.
-        most = min(most, 900 // count)
+        most = min(most, max(900 - 264 * before.count("long"), 0) // count)
         blocks = [] if shape in FAULTS else [self._block(each, plain=shape in ENDS) for each in before]
         if shape in ENDS:
             blocks.append(Client(number, 5))
@@ -428,6 +446,9 @@ class NodeMachine(RuleBasedStateMachine):
 
     def _block(self, what: int | str, *, plain: bool) -> Records | Report | Client:
         """Return a block for a protocol of this number, or of SRP or VarDis unless it must be ``plain``."""
+        if what == "long":
+            # For a protocol that is rarely registered; its length has a high octet.
+            return Client(4, 260 if not plain else 40)
         if isinstance(what, int) or plain or (what == "record" and not self.executor.hears_vardis):
             return Client(what if isinstance(what, int) else 1, 4)
         return Report(0, 5) if what == "report" else self._record("create: later", 0, 1, 1, 0)
@@ -448,12 +469,16 @@ class NodeMachine(RuleBasedStateMachine):
             self._set("BP", "BPPAR_MAXIMUM_PACKET_SIZE", size)
 
     @action(
-        lambda self: self.has("BP-SetParameter") and self.executor.alone, factor=st.sampled_from((1, 2, 4, 0.5, 700))
-    )
+        lambda self: self.has("BP-SetParameter") and self.executor.alone,
+        factor=st.sampled_from((1, 2, 4, 0.25, 700, 0.5, 0.37, 19)),
+    )  # fmt: skip
     def change_period(self, factor: float) -> None:
         """Set the beacon period, beyond 16 bits where time costs nothing."""
         factor = min(factor, 700 if self.executor.timing.whole else 4)
         self._set("BP", "BPPAR_BEACON_PERIOD", int(self.driver.initial["BPPAR_BEACON_PERIOD"] * factor) or 1)
+        if self.driver.model.bp.active and self.executor.timing.whole:
+            # Until the mean is known.
+            self.take(Wait(30 * min(max(factor, 1), 20)))
 
     @action(lambda self: self.executor.alone, invalid=_INVALID)
     def refuse(self, invalid: tuple[str, str, int]) -> None:
@@ -485,10 +510,10 @@ class NodeMachine(RuleBasedStateMachine):
         what=st.sampled_from(
             ("SUMMARIES", "REPETITIONS", "VALUE_LENGTH", "DESCRIPTION_LENGTH", "PAYLOAD_SIZE", "SCRUB")
         ),
-        value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)),
+        value=st.sampled_from((1, 2, 15, "initial", 200, 255, 0)), after=st.sampled_from(("", "back", "ask", "wait")),
     )  # fmt: skip
-    def change_vardis(self, what: str, value: int | str) -> None:
-        """Set a parameter of VarDis."""
+    def change_vardis(self, what: str, value: int | str, after: str = "") -> None:
+        """Set a parameter of VarDis; sometimes for a while only, or ask for records of variables after it."""
         model = self.driver.model
         name = "VARDISPAR_SCRUBBING_PERIOD" if what == "SCRUB" else f"VARDISPAR_MAX_{what}"
         if name not in self.driver.initial:
@@ -501,12 +526,35 @@ class NodeMachine(RuleBasedStateMachine):
             number = {1: 100, 2: 300, 15: 1000, 200: 2000, 255: 3000}.get(number, 1000)
         number = model.bounded(name, number)
         self._set("VD", name, number)
+        if after in ("back", "wait"):
+            self.take(Wait(3))
+        if after == "back":
+            self._set("VD", name, int(self.driver.initial[name]))
+        if after == "ask" and self.executor.hears_vardis:
+            asked = ((event, each) for each in range(2) for event in ("ask-create", "summary: older"))
+            self.take(Beacon(2, tuple(self._record(event, each, 1, 1, 0) for event, each in asked)))
 
     @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
     def shorten(self) -> None:
         """Set the limits of a variable below what the node holds."""
         for what in ("VALUE_LENGTH", "DESCRIPTION_LENGTH", "REPETITIONS"):
             self._set("VD", f"VARDISPAR_MAX_{what}", 1)
+
+    @action(
+        lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone, number=VARIABLES,
+        first=st.sampled_from(("VALUE_LENGTH", "DESCRIPTION_LENGTH")), by_node=st.booleans(),
+    )  # fmt: skip
+    def widen(self, number: int, first: str, by_node: bool) -> None:
+        """Set the limits of a variable as far as they go, one first, and create and update a variable of that size."""
+        model = self.driver.model
+        for what in (first, "VALUE_LENGTH", "DESCRIPTION_LENGTH"):
+            self._set("VD", f"VARDISPAR_MAX_{what}", model.bounded(f"VARDISPAR_MAX_{what}", 255))
+        if by_node:
+            self.create(number, "largest", 1, 0, "")
+            self.update(number, "most", 1, "")
+        elif self.executor.hears_vardis:
+            for event in ("create: largest", "update: largest"):
+                self.take(Beacon(0, (self._record(event, self._variable(number), 1, 1, 0),)))
 
     @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
     def narrow(self) -> None:
@@ -563,13 +611,19 @@ class NodeMachine(RuleBasedStateMachine):
 
     @action(
         lambda self: self._vardis, number=VARIABLES,
-        what=st.sampled_from(("",) * 6 + (*_FLAWS, "two flaws", "repCnt 0", "repCnt too large")),
+        what=st.sampled_from(("",) * 6 + (*_FLAWS, "repCnt 0", "repCnt too large")),
+        more=st.sampled_from(("",) * 7 + _REFUSED),
         repetitions=st.sampled_from((1, 1, "most", "most")), timeout=_TIMEOUTS, octets=_OCTETS,
     )  # fmt: skip
-    def create(self, number: int, what: str, repetitions: int | str, timeout: int, octets: str) -> None:
-        """Create a variable of the node."""
-        size, descr = ("above", "above") if what == "two flaws" else _FLAWS.get(what, (2, 3))
-        count = 0 if what == "repCnt 0" else "above" if what == "repCnt too large" else repetitions
+    def create(self, number: int, what: str, repetitions: int | str, timeout: int, octets: str, more: str = "") -> None:
+        """Create a variable of the node. ``more``: a second flaw of the request."""
+        size, descr = _FLAWS.get(what, (2, 3))
+        if more:
+            size, descr = (
+                other if other not in (2, 3) else one
+                for one, other in zip((size, descr), _FLAWS.get(more, (2, 3)), strict=True)
+            )
+        count = 0 if "repCnt 0" in (what, more) else "above" if "repCnt too large" in (what, more) else repetitions
         params = {
             "varId": self._variable(number),
             "repCnt": self._limit(count, "REPETITIONS"),
@@ -654,11 +708,17 @@ class NodeMachine(RuleBasedStateMachine):
         lambda self: self.executor.hears_vardis and self.executor.crowds > 32,
         kind=st.sampled_from(("create", "summary", "delete", "update", "ask-create")), count=_CROWDS,
         repetitions=st.sampled_from((1, "most")), seqno=st.sampled_from((0, 1)), creation=st.sampled_from((1, 2)),
+        descr=st.sampled_from((1, 2, 6, 7, 12, 19, 28)), uneven=st.booleans(),
     )  # fmt: skip
-    def crowd(self, kind: Any, count: int, repetitions: int | str, seqno: int, creation: int) -> None:
-        """Send instructions about many variables."""
+    def crowd(
+        self, kind: Any, count: int, repetitions: int | str, seqno: int, creation: int, descr: int, uneven: bool
+    ) -> None:
+        """Send instructions about many variables. ``uneven``: of different sizes, so that only some fit."""
         count = min(count, self.executor.crowds - 8)
-        record = Records(kind, 6, count, seqno, 1, 1, self._limit(repetitions, "REPETITIONS"), 0, creation)
+        size = self._limit("most", "VALUE_LENGTH") if uneven else 1
+        descr = self._limit(descr, "DESCRIPTION_LENGTH")
+        repetitions = self._limit(repetitions, "REPETITIONS")
+        record = Records(kind, 6, count, seqno, size, descr, repetitions, 0, creation, uneven=uneven)
         self.take(Beacon(0, (record,)))
 
     def _limit(self, size: int | str, name: str) -> int:
@@ -683,6 +743,32 @@ class NodeMachine(RuleBasedStateMachine):
         scrub = self.driver.model.values.get("VARDISPAR_SCRUBBING_PERIOD", 1000) * 1_000_000
         duration = left * part + (1.5 * scrub if part > 1 else 0)
         self.take(Wait(round(duration / self.executor.timing.period + 1, 1)))
+
+    @action(
+        lambda self: self._next_to_expire() is not None and self.executor.hears_vardis,
+        event=st.sampled_from(("update: newer", "update: newer", "application", *_KEEPING)),
+        times=st.sampled_from((1, 2)),
+    )  # fmt: skip
+    def keep(self, event: str, times: int) -> None:
+        """Let most of the timeout of a variable pass, change it or not, and again: an update restarts the timeout."""
+        number = self._next_to_expire() or 0
+        known = self.driver.model.vardis.variables[self.executor.names.variable(number)]
+        timeout = known.now.spec.timeout or 0 if known.now.spec is not None else 0
+        pause = Wait(round(0.8 * timeout * 1_000_000 / self.executor.timing.period, 1))
+        for _ in range(times):
+            self.take(pause)
+            if event == "application" and self._vardis:
+                self.update(number, 2, 1, "")
+            elif event != "application":
+                self.take(Beacon(0, (self._record(event, number, 1, 1, timeout),)))
+        self.take(pause)
+
+    def _next_to_expire(self) -> int | None:
+        """Return the number of the variable whose timeout is next; None if it is not one of the first."""
+        model, names = self.driver.model.vardis, self.executor.names
+        due = model.next_timeout
+        first = {names.variable(number): number for number in range(5)} if due is not None else {}
+        return next((number for each, number in first.items() if model.variables.get(each, _NONE).due == due), None)
 
     # -- time ------------------------------------------------------------------------------------------------
 

@@ -20,12 +20,14 @@ FAULTS: Final[Mapping[Fault, tuple[str, ...]]] = {
 }  # fmt: skip
 Trait = Literal[
     "", "seqno 0", "seqno largest", "seqno as before", "padded", "padded far",
-    "last block too long", "last block after the end", "last block after the end, counted",
+    "last block too long", "last block into the padding", "last block after the end",
+    "last block after the end, counted",
 ]  # fmt: skip
 """Unusual traits of beacons that a receiver must process like any other (BP-RX-10, BP-RX-14), or up to their ends."""
 #: Traits of the end of a beacon of payloads for clients, and the requirement by which its last block is not delivered.
 ENDS: Final[Mapping[Trait, tuple[str, ...]]] = {
-    "last block too long": ("BP-RX-09",), "last block after the end": ("BP-RX-14",),
+    "last block too long": ("BP-RX-09",), "last block into the padding": ("BP-RX-09", "BP-RX-14"),
+    "last block after the end": ("BP-RX-14",),
     "last block after the end, counted": ("BP-RX-14",),
 }  # fmt: skip
 Data = Literal["", "again", "near", "zeros", "far"]
@@ -73,6 +75,8 @@ class Records(msgspec.Struct, frozen=True, omit_defaults=True, tag="records"):
     again: bool = False
     """True to send the same octets as in the previous value."""
     fill: Fill = ""
+    uneven: bool = False
+    """True if only every third value is of this size, and the others are of one octet."""
 
 
 class Report(msgspec.Struct, frozen=True, omit_defaults=True, tag="report"):
@@ -148,7 +152,7 @@ def _block(block: Records | Report | Client) -> str:
     which = f"{block.variable}" if block.count == 1 else f"{block.variable} to {block.variable + block.count - 1}"
     more = "" if block.kind in ("delete", "ask-create") else f", seqno {block.seqno}"
     if block.kind in ("create", "update"):
-        more += f", {block.size} octets{_octets(block)}"
+        more += f", {block.size} octets{_octets(block)}{', of which two of three have one' if block.uneven else ''}"
     if block.kind == "create":
         by = f"created by {_node(block.producer)} at {block.creation}"
         more += f", descr {block.descr} octets, repCnt {block.repetitions}, {by}"

@@ -215,7 +215,7 @@ ASSUMED_VALUE: Final = r"was taken to be .*\(pixit\."
 #: Up to 1.2 state reports of earlier cases are repeated until a reset.
 _REPORTS_REPEATED = r"^TC_BP_HDR_BV_(09|12): no beacon during the pause"
 #: A call takes a twelfth of the timeout of neighbours or more.
-_TOO_SLOW = r"^TC_SRP_NT_TI_0[245]: entries of the neighbours"
+_TOO_SLOW = r"^TC_(SRP_NT_TI_0[245]|DCP_KEEP_BO_02): entries of the neighbours"
 #: Up to 1.1 BP cannot be deactivated while payloads are submitted.
 TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon in between in each attempt; calls take up to \d+ ms"
 #: A call takes longer than the first beacons after it.

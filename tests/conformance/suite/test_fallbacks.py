@@ -34,7 +34,7 @@ TOLD = Testing(
     scrubbing_period_ms=1000,
 )
 #: Cases about setting parameters, or about an effect that only another value than the configured one has.
-NOT_DECIDED = 94
+NOT_DECIDED = 95
 
 
 def one(case_id: str, pixit: Testing = TOLD, **how: Any) -> CaseResult:

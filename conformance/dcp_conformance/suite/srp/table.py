@@ -69,8 +69,8 @@ def stored(bench: Bench) -> None:
     "TC_SRP_RX_BV_02",
     "A newer record of a neighbour replaces the stored one",
     requirements="SRP-RX-03 SRP-NT-01",
-    stimulus="two records of a neighbour with different values, seqno 5 and 6",
-    expect="one entry, with the second record and a later receptionTime",
+    stimulus="records of a neighbour with different values, seqno 5, 6 and again 6",
+    expect="one entry, with the second record and a later receptionTime; so for the third, unless it is filtered",
     needs=_TABLE,
 )
 def replaced(bench: Bench) -> None:
@@ -92,6 +92,21 @@ def replaced(bench: Bench) -> None:
         return int(second.get("receptionTime", 0) - entries[-2].get("receptionTime", 0))
 
     check_later(bench, "a later receptionTime", bench.period, measure, "SRP-RX-03")
+
+    def measure_equal() -> int:
+        bench.wait(2)
+        before = entries[-1]
+        values = _small(bench, len(entries) + 10)
+        peer.send(bench.records.report(peer.node_id, before["seqno"], **values))
+        _require_working(bench, "a record with the same number")
+        entry = bench.required(neighbour(bench, peer.node_id), "an entry of the neighbour", "SRP-RX-03")
+        if {name: entry.get("sData", {}).get(name) for name in values} != values:
+            # Filtered (SRP-RX-04), or lost.
+            return bench.period
+        entries.append(entry)
+        return int(entry.get("receptionTime", 0) - before.get("receptionTime", 0))
+
+    check_later(bench, "a later receptionTime with equal numbers", bench.period, measure_equal, "SRP-RX-03")
     same = neighbours(bench).get(peer.node_id, [])
     bench.answered(len(same), 1, "entries of the node", "SRP-NT-01")
 

@@ -10,7 +10,6 @@ from dcp_spec.status import BPStatus
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import around, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.unseen import OTHERS_ACTIVE
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.parameters import MAX_PACKET, NETWORK, PERIOD, BPParameters
 from dcp_stack.bp.services import StatusConfirm
@@ -76,7 +75,7 @@ before(BeaconingProtocol, BeaconingProtocol.activate)("starts-over", "BP-MGT-05 
     lambda self, now: self._schedule.restart(now))
 instead(BeaconingProtocol, BeaconingProtocol.poll_timeout)("on-the-side", "BP-TX-01",
     "has no timer of its own and sends only when another protocol is active",
-    lambda self: None, unseen=OTHERS_ACTIVE)
+    lambda self: None)
 around(BeaconingProtocol, BeaconingProtocol.transmit_payload)("refuses", "BP-MGT-04",
     "rejects payloads while it is inactive",
     lambda self, proceed, prot_id, payload, *, now: (

@@ -9,7 +9,7 @@ import msgspec
 from dcp_spec.constants import BP_MAX_PAYLOADS, BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import assign, attributes, before, instead, then
+from dcp_selftest.mutants.family import around, assign, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant, replaced
 from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -18,6 +18,7 @@ from dcp_stack.bp.queue import QUEUEING, Client, ModeRule, PayloadQueue, Places,
 from dcp_stack.bp.services import NumberConfirm, RegisterConfirm
 from dcp_stack.bp.timing import BeaconSchedule
 from dcp_stack.bp.wire import BPWire
+from dcp_stack.config import MS
 
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
@@ -334,6 +335,9 @@ class JitterAdded(BeaconSchedule):
 
 
 # fmt: off
+around(BeaconSchedule, BeaconSchedule.set_period)("period-ticks", "BP-TX-01 BP-PAR-02",
+    "rounds a changed beacon period down to ticks of 10 ms, and reports the value that was set",
+    lambda self, proceed, period: proceed(max(period // (10 * MS), 1) * 10 * MS))
 then(BeaconSchedule, BeaconSchedule.passed)("bursts", "BP-TX-01",
     "prepares the next beacon soon after each one that it sends",
     lambda self, left_out, now, *, sent: assign(self, due=min(self.due, now + self._gap)) if sent else None)

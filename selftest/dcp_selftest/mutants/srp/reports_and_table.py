@@ -270,6 +270,11 @@ entry("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour fro
     lambda self, old, new: (
         new if old is None
         else msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)))
+entry("equal-time-stays", "SRP-RX-03 SRP-RUN-02",
+    "does not renew the reception time of a neighbour for a report with the number of the stored one",
+    lambda self, old, new: (
+        new if old is None or old.ext_sd.seqno != new.ext_sd.seqno
+        else msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)))
 around(NeighbourTable, NeighbourTable.record)("sender", "SRP-RX-05",
     "uses the sender of the beacon as the key of neighbours",
     lambda self, proceed, report, sender_id, *, now, wall: (

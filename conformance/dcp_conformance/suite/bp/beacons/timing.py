@@ -174,12 +174,13 @@ def mean_period(bench: Bench) -> None:
 @case(
     "TC_BP_TX_TI_02",
     "A new beacon period takes effect (factor {variant})",
-    requirements="BP-PAR-02 BP-PAR-12",
+    requirements="BP-PAR-02 BP-PAR-12 BP-TX-01",
     stimulus="BPPAR_BEACON_PERIOD is multiplied by {variant} while a client repeats a payload",
     expect="a mean interval of the new period, with 99 % confidence",
     window=60,
     needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter")),
-    variants={"0.5": 0.5, "2": 2.0},
+    # 0.45 of a usual period is not a multiple of 10 ms.
+    variants={"0.5": 0.5, "2": 2.0, "0.45": 0.45},
 )
 def other_period(bench: Bench, factor: float) -> None:
     with BPClient(bench, REPEAT) as client:
