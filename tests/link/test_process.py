@@ -325,6 +325,24 @@ def test_a_launcher_on_a_busy_machine(tmp_path, control):
     assert it.why_dead() == ""
 
 
+def test_a_program_that_ends_with_its_node_is_dead_although_its_adapter_runs(tmp_path, control):
+    """It ends with status 0, as a launcher does, but so has the process on the link that it had started."""
+    port = own_port()
+    bind = f"import socket\nlink = socket.socket(type=socket.SOCK_DGRAM)\nlink.bind(('127.0.0.1', {port}))\n"
+    adapter = program(tmp_path, "time.sleep(600)", "adapter")
+    node = program(tmp_path, bind + FOREVER, "node")
+    both = f"import subprocess\nsubprocess.Popen({shlex.split(adapter)!r})\nsubprocess.call({shlex.split(node)!r})"
+    it = control(start=program(tmp_path, both, "both"), settle=0.01, udp_port=port)
+    it.start()
+    pid = pid_in(tmp_path)
+    eventually(it.on_link, "it opens the link")
+    assert it.alive() is True
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: it.alive() is False, "the node has ended")
+    assert it.why_dead() == "it ended with exit status 0; it wrote nothing"
+    assert it._started.running()
+
+
 def test_a_program_that_exits_with_status_0_is_dead(tmp_path, control):
     """Status 0 after the settling time, and nothing that it has started is left."""
     code = "while not (here / 'go').exists(): time.sleep(0.01)"

@@ -71,7 +71,7 @@ class ProcessControl:
         self.after_restart: list[Callable[[], None]] = []
         """Called after each restart, to reconnect upper testers."""
         self._process: Child | None = None
-        self._launched = False
+        self._launched = self._opened = False
         self._watched: Held | None = None
         self._why = ""
         self._started = Started()
@@ -101,9 +101,11 @@ class ProcessControl:
             self._process.trim()
             return True
         if status == 0 and self._settle and not self._why and self._started.running():
-            # The launcher has ended only now, since the machine is busy; the implementation runs.
-            self._launched = True
-            return None
+            # It is a launcher that has ended only now, since the machine is busy; or the process on the link has ended,
+            # while another one that was started with it still runs.
+            self._launched = not self._opened or self.on_link()
+            if self._launched:
+                return None
         self._why = self._why or f"it ended with {ending(status)}{self._process.last_lines()}"
         return False
 
@@ -140,7 +142,7 @@ class ProcessControl:
         """
         if self._start is None:
             return
-        self._why, self._launched = "", False
+        self._why, self._launched, self._opened = "", False, False
         try:
             self._process = Child(
                 self._start,
@@ -212,7 +214,9 @@ class ProcessControl:
 
     def on_link(self) -> bool:
         """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""
-        return any(has_link_socket(each.pid, self._udp_port) for each in self._started.running())
+        found = any(has_link_socket(each.pid, self._udp_port) for each in self._started.running())
+        self._opened = self._opened or found
+        return found
 
 
 def has_link_socket(pid: int, udp_port: int | None) -> bool:

@@ -307,6 +307,9 @@ class Life:
             except UpperTesterError as error:
                 self.upper_tester_error = str(error)
         self.upper_tester_error = ""
+        if isinstance(control, SeesSockets):
+            # From now on the loss of its socket shows its end.
+            control.on_link()
         return ""
 
 
