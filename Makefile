@@ -1,7 +1,7 @@
 # For a fresh machine with Python >= 3.11:
 #   make demo      install what the suite needs into .venv, test our own node with it, and write a report
 #   make test      install everything into .venv; lint, and the core of the tests: about four minutes on two processors
-#   make test-all  the other parts of the tests: about eleven minutes; CONTRIBUTING.md says what each part is for
+#   make test-all  the other parts of the tests: about nine minutes; CONTRIBUTING.md says what each part is for
 # For longer:
 #   make test-fresh FOR=3600        new random seeds, round after round, for an hour or until a test fails
 #   make test-repeat N=10 LOAD=4    `make test` in ten fresh clones, beside four busy processes
