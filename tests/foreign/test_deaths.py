@@ -9,6 +9,8 @@ from .rig import foreign
 SANITY = "TC_DCP_SANITY_BV_01"
 #: It crashes in the first case, which is unrelated to the second.
 LETHAL, NEXT = "TC_BP_RX_BI_24", "TC_BP_FMT_BV_02"
+#: Exit status of ``dcp-conformance run``.
+UNDECIDED = 3
 
 
 @pytest.mark.parametrize(
@@ -20,6 +22,9 @@ def test_only_the_deadly_case_is_blamed(launcher: str, adapter_after: float | No
         faults=["crashes-on-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False
     ) as target:
         run = target.run(LETHAL, NEXT)
+        for _ in range(2):
+            # On a busy machine a run may decide nothing.
+            run = target.run(LETHAL, NEXT) if run.status == UNDECIDED else run
         assert run.status == 1, run.text
         assert {each["id"] for each in run.cases} == {SANITY, LETHAL, NEXT}
         assert run.verdict(LETHAL) == "fail", run.text
