@@ -36,7 +36,7 @@ STRAY = (
     *("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_THEME", "PYTHONPATH", "PYTHONOPTIMIZE", "PYTHONWARNINGS"),
     *("PYTHONUNBUFFERED", "PYTHONIOENCODING", "PYTHONUTF8", "PYTHONDEVMODE", "PYTHONDONTWRITEBYTECODE"),
     *("COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "SOURCE_DATE_EPOCH"),
-    # Of the make that runs the tests: a make in a test would look for its job server.
+    # Set by the make that runs the tests; a make in a test would look for its job server.
     *("MAKEFLAGS", "MFLAGS", "MAKELEVEL"),
     *("NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "MPLBACKEND", "XDG_CACHE_HOME"),
 )

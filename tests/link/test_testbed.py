@@ -215,7 +215,7 @@ class TestEnds:
         ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
         left = f"{namespaces.PREFIX}-{ended.stdout.strip()}-1-n0"
         mine = f"{namespaces.own_prefix()}-n0"
-        # Of this process, since the tests of another checkout may run at the same time.
+        # The name contains the process id, because tests of another checkout may run at the same time.
         foreign = f"{namespaces.PREFIX}-not-one-of-ours-{os.getpid()}"
         namespaces.create([left, mine, foreign])
         sleeper = subprocess.Popen([*enter_command(left), "sleep", "100"])

@@ -98,7 +98,7 @@ class Session:
         self.beside = False
         """Whether a case is executed beside others, whose payloads share the beacons with its own."""
         self.provisional = False
-        """Whether only a pass of the present execution counts: with another verdict the case is executed again."""
+        """True if the case will be executed again unless it passes this time."""
         self.counterexamples: set[tuple[str, ...]] = set()
         """The counterexamples that were made shorter: requirements, expectation and observation."""
         self.notifications = 0
