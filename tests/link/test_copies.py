@@ -11,13 +11,16 @@ from pathlib import Path
 import pytest
 
 BIN = Path(sys.executable).parent
-#: A node that prints what the copies would get in each other's way with: a file in /tmp, and its address.
+#: A node that prints what the copies would get in each other's way with: a file in /tmp, a segment of shared memory,
+#: and its address.
 NODE = """
 import subprocess, sys
 from pathlib import Path
-private, shared, socket = map(Path, sys.argv[1:])
-assert not private.exists() and not any(Path("/dev/shm").iterdir())
+private, segment, shared, socket = map(Path, sys.argv[1:])
+assert not private.exists(), private
+assert not segment.exists(), segment
 private.write_text("mine")
+segment.write_text("mine")
 print(shared.read_text(), Path("/sys/class/net/far/address").read_text(), flush=True)
 node = Path(sys.executable).parent / "dcp-node"
 sys.exit(subprocess.call([node, "run", "--interface", "far", "--beacon-period", "25", "--control", socket]))
@@ -45,7 +48,10 @@ def test_copies_have_the_verdicts_of_one_node(namespace, tmp_path):
     (tmp_path / "shared").write_text("everybody's")
     # The socket and the file have the same path for all of them.
     socket, private = tmp_path / "ut", tmp_path / "private"
-    start = shlex.join(map(str, [sys.executable, tmp_path / "node.py", private, tmp_path / "shared", socket]))
+    # Other programs of this machine use shared memory, too: the name is of this namespace.
+    segment = Path("/dev/shm") / namespace.name
+    command = [sys.executable, tmp_path / "node.py", private, segment, tmp_path / "shared", socket]
+    start = shlex.join(map(str, command))
     options = ("--interface", "near", "--start", start, "--ut", f"unix:{socket}")
     address = namespace.links()["far"]["address"]
 
@@ -55,11 +61,16 @@ def test_copies_have_the_verdicts_of_one_node(namespace, tmp_path):
     outputs = [each.read_text().split() for each in (tmp_path / "report").glob("output-*.txt")]
     assert [each[:2] for each in outputs] == [["everybody's", address]] * 3
     assert not private.exists()
+    assert not segment.exists()
     assert namespace.links().keys() >= {"near", "far"}
 
-    one = run(namespace, tmp_path, *options, folder="one")
-    assert one.returncode == 0, one.stdout + one.stderr
-    assert private.exists()
+    try:
+        one = run(namespace, tmp_path, *options, folder="one")
+        assert one.returncode == 0, one.stdout + one.stderr
+        assert private.exists()
+        assert segment.exists()
+    finally:
+        segment.unlink(missing_ok=True)
     assert verdicts(tmp_path / "report") == verdicts(tmp_path / "one")
     assert len(verdicts(tmp_path / "one")) > 12
 
