@@ -21,7 +21,8 @@ _OBJECTS: Final = 1_000_000
 def few_collections() -> Iterator[None]:
     """Collect garbage after every ``_OBJECTS`` new objects; restore the thresholds of the process at the end.
 
-    Thresholds that are higher already, or 0 (no collections), are kept.
+    Thresholds that are higher already, or 0 (no collections), are kept. The objects that are new at the end belong to
+    the oldest generation then, so that the restored thresholds do not start a search of all of them at once.
     """
     before = gc.get_threshold()
     if 0 < before[0] < _OBJECTS:
@@ -30,3 +31,6 @@ def few_collections() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+        if not gc.get_freeze_count():
+            gc.freeze()
+            gc.unfreeze()

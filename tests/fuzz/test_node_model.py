@@ -32,8 +32,8 @@ from dcp_conformance.stateful.steps import (
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
-from dcp_spec.constants import ICType
-from dcp_spec.status import SRPStatus, VardisStatus
+from dcp_spec.constants import ICType, SpecVersion, features
+from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import VarReqUpdate
@@ -634,6 +634,33 @@ class NeverRenewed(Receiver):
             entry.refreshed = since
 
 
+class EmptyFirst(BeaconingProtocol):
+    """Refuses an empty payload before it looks for the client protocol."""
+
+    def transmit_payload(self, prot_id, payload, *, now):
+        confirm = super().transmit_payload(prot_id, payload, now=now)
+        return confirm if payload else msgspec.structs.replace(confirm, status=BPStatus.EMPTY_PAYLOAD)
+
+
+class OldOrder(Composer):
+    """Composes containers in the order of version 1.0."""
+
+    def __init__(self, core, instructions=None):
+        super().__init__(core, instructions)
+        order = features(SpecVersion.V1_0).container_order
+        self._order = tuple((kind, self._queues[kind]) for kind in order)
+
+
+class TellsOnce(Vardis):
+    """Sends the VarDelete of a variable whose timeout has passed once, whatever repCnt is."""
+
+    def _scrub(self, now):
+        alive = [each for each in self._database.entries.values() if not each.is_deleted]
+        super()._scrub(now)
+        for each in alive:
+            each.count_delete = min(each.count_delete, 1)
+
+
 def calling(method: str, **params: Any) -> Call:
     """Return a service request."""
     return Call(method, params)
@@ -689,6 +716,9 @@ _CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "val
             ),
             "VD-PS-02",
         ),
+        (EmptyFirst, (registering(1), calling("BP-TransmitPayload", protId=5, payload=0)), "BP-TXP-01"),
+        (OldOrder, (_CREATED, Wait(2), calling("RTDB-Update", varId=0, value=2), Wait(3)), "VD-PAY-01"),
+        (TellsOnce, (Beacon(0, (creating(0, 1, repetitions=3, timeout=1200),)), Wait(40)), "VD-SCR-04"),
     ],
 )  # fmt: skip
 def test_a_fault_is_named(fault: type, steps: tuple[Step, ...], requirement: str) -> None:

@@ -47,14 +47,15 @@ class Trace(msgspec.Struct, frozen=True, gc=False):
 class Seen:
     """A frame of the recording with its decoded values, its dissection and its sender.
 
-    The dissection and the list of all records are computed on first access. ``start`` is the offset of the bearer
-    payload in ``frame``, in octets. ``destination`` is None if frames have no addresses.
+    The dissection, the trace and the list of all records are computed on first access. ``start`` is the offset of the
+    bearer payload in ``frame``, in octets. ``destination`` is None if frames have no addresses.
     """
 
     __slots__ = (
         "_codec",
         "_dissection",
         "_statements",
+        "_trace",
         "again",
         "destination",
         "frame",
@@ -68,7 +69,6 @@ class Seen:
         "sound",
         "start",
         "time",
-        "trace",
     )
 
     def __init__(
@@ -96,8 +96,7 @@ class Seen:
         """Whether the strict decoder accepts the frame; the dissection of such a frame has no errors."""
         self.parts: list[Part] = parts_of(heard) if heard.containers else []
         """The VarDis records of the frame, by container."""
-        self.trace = Trace(heard.number, heard.wall, heard.seqno, heard.octets)
-        """The part of the frame that a rule may keep."""
+        self._trace: Trace | None = None
         self.news: Sequence[News] = ()
         """The VarDis records in their order, without the summaries counted in ``again``. Set by :meth:`Context.feed`.
         """
@@ -112,6 +111,13 @@ class Seen:
             end = self.start + len(self.heard.octets)
             self._dissection = self._codec.dissect(self.frame[:end], start=self.start, base=self.start)
         return self._dissection
+
+    @property
+    def trace(self) -> Trace:
+        """The part of the frame that a rule may keep."""
+        if self._trace is None:
+            self._trace = Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
+        return self._trace
 
     @property
     def statements(self) -> tuple[Statement, ...]:

@@ -59,8 +59,7 @@ def _judge(connection: Connection, path: Path, judges: Sequence[Judge], place: C
         with open_capture(path) as reader, few_collections():
             for frame in reader:
                 judges[place(frame)].feed(frame)
-            shares = [judge.share() for judge in judges]
+            connection.send([judge.share() for judge in judges])
     except CaptureError:
         # The other process reports it.
         return
-    connection.send(shares)

@@ -109,8 +109,9 @@ class VardisModel(Oracle):
         """By kind and variable."""
         self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
         self._longest = (limits.max_value_length, limits.max_description_length)
-        self._told: dict[int, int] = {}
-        """By variable: the time of the last VarDelete of the node, ns."""
+        self._told: dict[int, tuple[Version, int, int]] = {}
+        """By variable: its version at the node's last VarDelete, the time of that, ns, and the number of VarDeletes
+        since this version."""
         self._asked: dict[tuple[ICType, int], int] = {}
         """By kind and variable: the time of the only reason for the request that the node may have queued, ns."""
         self._passed: dict[int, int] = {}
@@ -228,15 +229,20 @@ class VardisModel(Oracle):
         """Process a timeout: only a node that scrubs the variables of others deletes them (X26)."""
         own = self._own(variable.now)
         if own or self._scrubs:
-            due, spec = variable.due, variable.now.spec
+            due, before = variable.due, variable.now
             super()._fade(variable, var_id, time)
             if variable.now.state != "deleted":
                 return
             self.why[var_id] = ("VD-SCR-04", "VD-SCR-05")
-            if self._told.get(var_id, due) <= due and spec is not None and spec.rep_cnt > 0:
+            version, told, count = self._told.get(var_id, (None, due, 0))
+            if version is not before or told <= due:
+                count = 0
+            left = 0 if before.spec is None else before.spec.rep_cnt - count
+            if left > 0:
                 # Its place in the queue is not known.
-                super()._oblige(_DELETES, var_id, 0, time, 0, "VD-SCR-04")
-                self._due[_DELETES, var_id] = Due(1, time, "VD-SCR-04", 0)
+                if not count:
+                    super()._oblige(_DELETES, var_id, 0, time, 0, "VD-SCR-04")
+                self._due[_DELETES, var_id] = Due(left, time, "VD-SCR-04", 0)
         elif self._scrubs is None and time >= variable.due:
             self._passed[var_id] = variable.due + (self._scrubbing or 0) + self._latency
             self._lose(variable)
@@ -480,6 +486,11 @@ class VardisModel(Oracle):
                 continue
             groups.setdefault(kind, []).extend(container.records)
             records += [(kind, each) for each in container.records if _var_id(each) in self.mine]
+        kinds = [each for each in self._features.container_order if each in groups]
+        if list(groups) != kinds:
+            which = "VD-PAY-01" if self._features.version >= SpecVersion.V1_1 else "VD-PAY-07"
+            wanted, found_order = (", ".join(each.label for each in some) for some in (kinds, groups))
+            yield Finding((which,), f"containers in the order {wanted}", found_order)
         if len(groups.get(_SUMMARIES, ())) > summaries:
             yield Finding(("VD-CMP-02",), f"at most {summaries} summaries", str(len(groups[_SUMMARIES])))
         for kind, found in groups.items():
@@ -502,9 +513,11 @@ class VardisModel(Oracle):
                 yield from self._missing(groups, free, since, causes if self._whole else {})
                 yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
+            key = kind, var_id = kind, _var_id(record)
             if kind is _DELETES:
-                self._told[_var_id(record)] = time
-            key = kind, _var_id(record)
+                now = self._variable(var_id).now
+                version, _, count = self._told.get(var_id, (now, 0, 0))
+                self._told[var_id] = now, time, count + 1 if version is now else 1
             if due := self._due.get(key):
                 due.left -= 1
                 if not due.left:

@@ -380,20 +380,22 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Call("BP-DeregisterProtocol", {"protId": self._one_of(which)}))
 
     @action(
-        lambda self: self.registered, which=WHICH,
-        size=st.sampled_from(("usual", "most", "usual", "most", "above", "usual", "one", "empty", "half")),
+        lambda self: self.registered, which=ANY,
+        size=st.sampled_from(("usual", "most", "usual", "most", "above", "usual", "one", "empty", "half", "wraps")),
         times=st.sampled_from((1, "fill", 2, 1, "fill", 3)), contents=_OCTETS,
     )  # fmt: skip
     def submit(self, which: int, size: str, times: int | str, contents: str) -> None:
         """Submit payloads."""
         number = self._one_of(which)
-        client = self.registrations()[number]
+        client = self.registrations().get(number)
+        most = 20 if client is None else client.most
         octets = {
-            "usual": min(4, client.most), "most": client.most, "above": client.most + 1, "empty": 0, "one": 1,
-            "half": client.most // 2 + 1,
+            "usual": min(4, most), "most": most, "above": most + 1, "empty": 0, "one": 1, "half": most // 2 + 1,
+            # Its length in 8 bits is permitted.
+            "wraps": most + 256,
         }[size]  # fmt: skip
         if times == "fill":
-            times = client.entries + 1 if client.mode in _QUEUES else 2
+            times = client.entries + 1 if client is not None and client.mode in _QUEUES else 2
         params = {"protId": number, "payload": octets} | _contents(contents)
         self.take(Call("BP-TransmitPayload", params, int(times)))
 

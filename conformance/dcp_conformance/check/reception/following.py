@@ -14,6 +14,8 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.check.statements import Statement
 
+#: Number of beacons for which a number that a node has stated is assumed to be valid.
+FRESH = 20
 #: Number of beacons of a node whose times are kept: the causes of a reaction are not older.
 _TIMES = 16
 #: Reactions with the same delay that show when a node composes payloads, if they are ``MOSTLY`` times as many as those
@@ -157,8 +159,8 @@ class Station:
     """The longest description that it has sent, in octets."""
     holds: dict[int, int] = field(default_factory=dict)
     """Variable -> the sequence number that it stated last."""
-    stated_at: dict[int, int] = field(default_factory=dict)
-    """Variable -> value of ``beacons`` when it stated the number last."""
+    stated: deque[tuple[int, list[dict[int, int]]]] = field(default_factory=lambda: deque(maxlen=FRESH + 1))
+    """Its latest beacons: value of ``beacons``, and the variables in the creates, updates and summaries."""
     sent: dict[tuple[int, ICType], int] = field(default_factory=dict)
     """Variable and CREATE or UPDATE -> value of ``beacons`` when it sent such a record last."""
     had: dict[int, int] = field(default_factory=dict)
@@ -177,6 +179,16 @@ class Station:
         """Whether it composes its payloads immediately before it sends them, as its reactions show."""
         first, second = self.delays
         return first >= DELAYS and first >= MOSTLY * second
+
+    def has_stated(self, var_id: int, since: int) -> bool:
+        """Whether it has stated the number of a variable in beacon ``since`` or later, of the latest ``FRESH``."""
+        for number, stated in reversed(self.stated):
+            if number < since:
+                return False
+            for each in stated:
+                if var_id in each:
+                    return True
+        return False
 
     def sent_at(self, number: int) -> int:
         """Return the time of its beacon ``number`` (from 1), ns; if that is not kept, the time of the oldest kept one.

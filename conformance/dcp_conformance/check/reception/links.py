@@ -129,7 +129,11 @@ class Inference:
             received = dict.fromkeys(self.shares, 0.0)
             for (bit, count), places in hits.items():
                 received[bit] += count * self.shares[bit] * sum(map(weights.__getitem__, places))
-            self.shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+            shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+            if shares == self.shares:
+                # Further rounds would not change them.
+                break
+            self.shares = shares
         for exposure, _, hit in self._outcomes:
             # The parts of all speakers in one reaction add up to 1.
             parts = [count * self.shares[bit] for bit, count in exposure]

@@ -25,7 +25,19 @@ from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
 from .demands import Demands
-from .following import Event, Exposure, Interval, Kind, Occasions, Population, Proof, Station, Trial, Variable
+from .following import (
+    FRESH,
+    Event,
+    Exposure,
+    Interval,
+    Kind,
+    Occasions,
+    Population,
+    Proof,
+    Station,
+    Trial,
+    Variable,
+)
 from .links import bits
 from .records import RecordSizes
 from .unrecorded import Unrecorded
@@ -42,8 +54,6 @@ _REPEATED = 3
 _EXPOSED = 8
 #: Maximum number of open occasions for one node, kind and variable.
 _OPEN = 8
-#: Number of beacons for which a number that a node has stated is assumed to be valid.
-_FRESH = 20
 #: Number of events that are kept until each node has sent its next beacon.
 _EVENTS = 8_192
 #: Maximum number of variables with open occasions of a node: only forged beacons, or long gaps, cause more.
@@ -187,7 +197,7 @@ class Observer:
             self._hold(station, self.variables[var_id], None)
         for var_id in station.had:
             self.variables[var_id].deleted &= ~station.bit
-        station.stated_at.clear()
+        station.stated.clear()
         station.sent.clear()
         station.had.clear()
 
@@ -260,9 +270,8 @@ class Observer:
                 self._hit(station, variable, each, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
                 if not opened:
                     station.open.pop(var_id, None)
-        for kind, _, ids, _, _ in seen.parts:
-            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-                station.stated_at.update(dict.fromkeys(ids, station.beacons))
+        stated = [last for kind, _, _, _, last in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE]
+        station.stated.append((station.beacons, stated))
 
     def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
         """Process a create, update or summary: a node states the number of a variable."""
@@ -520,12 +529,16 @@ class Observer:
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
         cursor, bit, hears = station.cursor, station.bit, station.hears
+        everybody = hears == -1
         found: list[tuple[int, tuple[Kind, int], list[Event]]] = []
         for key, events in reversed(self._log.items()):
             if events[-1][0] < cursor:
                 break
             since = events[bisect_left(events, (cursor,)) :]
-            if mine := [each for each in since if each[1] & bit and each[2] & hears]:
+            mine = [each for each in since if each[1] & bit]
+            if not everybody:
+                mine = [each for each in mine if each[2] & hears]
+            if mine:
                 found.append((mine[0][0], key, mine))
         for _, key, events in sorted(found):
             if (last := self._open(station, *key)) is not None:
@@ -545,7 +558,7 @@ class Observer:
             return None
         if kind in _ABSENT:
             station.waiting[var_id] = None
-        elif station.stated_at[var_id] < max(station.gap, beacons - _FRESH):
+        elif not station.has_stated(var_id, max(station.gap, beacons - FRESH)):
             return None
         if opened is None:
             opened = opened_of[var_id] = {}

@@ -228,6 +228,18 @@ class AnyLength(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
+@mutant("in-an-octet", "BP-TXP-02", "compares the low octet of the length of a payload with maxPayloadSize")
+class LengthInAnOctet(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        status = super()._submit(client, payload, now)
+        if status is not BPStatus.PAYLOAD_TOO_LARGE or client is None or client.queue is None:
+            return status
+        if len(payload) % 256 > client.registration.max_payload_size:
+            return status
+        client.queue.submit(payload)
+        return BPStatus.OK
+
+
 # fmt: off
 around_submit = around(BeaconingProtocol, BeaconingProtocol._submit)
 around_submit("one-less", "BP-TXP-02", "rejects payloads of exactly the length that the client registered",
