@@ -110,7 +110,7 @@ class Case:
     robustness: bool = False
     """The specification leaves the reaction open: a crash counts in the table of robustness."""
     long: bool = False
-    """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
+    """Belongs to the long plan only: takes more than about 20 s at a beacon period of 100 ms, or repeats others."""
     alone: str = ""
     """Why it cannot be executed beside other cases, if that does not follow from its needs; empty if it can.
 
@@ -146,6 +146,7 @@ class Variant:
     stimulus: str | None = None
     expect: str | None = None
     needs: Needs | None = None
+    long: bool | None = None
 
 
 _Body = Callable[..., None]
@@ -199,7 +200,7 @@ def case(
                 needs=own.needs or needs,
                 destructive=destructive,
                 robustness=robustness,
-                long=long,
+                long=long if own.long is None else own.long,
                 alone=alone,
                 family=family,
                 line=body.__code__.co_firstlineno,

@@ -30,7 +30,7 @@ def _variants() -> dict[str, Variant]:
         counts[each.theme] += 1
         name = f"{each.theme}-{counts[each.theme]:02}"
         needs = Needs(ut=each.methods, entities=(), when=_limits)
-        found[name] = Variant(each, requirements=" ".join(each.requirements), needs=needs)
+        found[name] = Variant(each, requirements=" ".join(each.requirements), needs=needs, long=each.long)
     return found
 
 
