@@ -47,7 +47,7 @@ from .switches import Switches
 
 HERE = Path(__file__).parent
 #: Seconds that a run of a few cases may take on a busy machine.
-PATIENCE = 120.0
+PATIENCE = 600.0
 #: The interfaces of the tester and of the implementation.
 INTERFACES = ("near", "far")
 #: The installed command, with the Python of the test.

@@ -21,10 +21,12 @@ def test_only_the_deadly_case_is_blamed(launcher: str, adapter_after: float | No
     with foreign(
         faults=["crashes-on-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False
     ) as target:
-        run = target.run(LETHAL, NEXT)
-        for _ in range(2):
-            # On a busy machine a run may decide nothing.
-            run = target.run(LETHAL, NEXT) if run.status == UNDECIDED else run
+        for _ in range(3):
+            run = target.run(LETHAL, NEXT)
+            # On a busy machine cases may be undecided; they never fail.
+            assert run.failed_requirements() <= {"BP-RX-16"}, run.text
+            if run.status != UNDECIDED and all(each["verdict"] != "inconclusive" for each in run.cases):
+                break
         assert run.status == 1, run.text
         assert {each["id"] for each in run.cases} == {SANITY, LETHAL, NEXT}
         assert run.verdict(LETHAL) == "fail", run.text

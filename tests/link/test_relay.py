@@ -10,7 +10,6 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -169,8 +168,8 @@ def test_a_frame_is_sent_at_its_deadline_and_not_before(make: Make, listen: List
         assert b.recv(2000)[14:15] == bytes([number])
         delays.append(time.monotonic_ns() - begun)
     assert min(delays) >= 20_000_000
-    # Without a bound for the single frame: a busy machine wakes up when it can.
-    assert median(delays) < 40_000_000
+    # Without a bound for the usual frame: a busy machine wakes up when it can.
+    assert sorted(delays)[2] < 40_000_000
     assert fabric.counters()["links"]["0>1"]["delay"] == 30 * 20_000_000
 
 
