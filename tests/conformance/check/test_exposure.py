@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_conformance.check.reception.links import Inference, reacts
+from dcp_conformance.check.reception.links import Inference, Link, reacts, summary
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import all_tests
 from dcp_conformance.interop.implementations import built_in
@@ -35,6 +35,31 @@ def test_reactions_to_repeated_causes_do_not_show_how_well_a_link_works() -> Non
     """With five beacons in each trial, half of them lost, nearly every trial is met."""
     assert Inference({((A, 5),): (0, 57)}).lower_bound(A, 1.0) < 0.65
     assert Inference({((A, 1),): (0, 57)}).lower_bound(A, 1.0) > 0.98
+
+
+def windows(*shown: tuple[float, int], count: int, missed: int = 1) -> list[Link]:
+    """Return windows of one pair with these lower bounds and reactions to the speaker alone, and others without.
+
+    ``missed``: number of missing reactions to the speaker alone, in each window.
+    """
+    rest = [(0.0, 0)] * (count - len(shown))
+    return [
+        Link(b"a", b"b", n, n + 1, 0.5, 4, 1.5, bound, alone, alone + missed)
+        for n, (bound, alone) in enumerate([*shown, *rest])
+    ]
+
+
+def test_a_few_of_many_windows_do_not_show_a_link_by_chance() -> None:
+    [few] = summary(windows(*[(0.6, 0)] * 20, *[(0.26, 1)] * 5, count=900)).values()
+    assert (few.at_least, few.alone) == (0.0, 0)
+    [short] = summary(windows((0.6, 0), (0.26, 1), count=4)).values()
+    assert (short.at_least, short.alone) == (0.6, 1)
+    [often] = summary(windows(*[(0.6, 1)] * 100, count=900)).values()
+    assert (often.at_least, often.alone) == (0.6, 100)
+    [alone] = summary(windows(*[(0.3, 1)] * 9, *[(0.3, 0)] * 80, count=900, missed=0)).values()
+    assert (alone.at_least, alone.alone) == (0.3, 9)
+    [once] = summary(windows((0.8, 3), (0.9, 1), count=900)).values()
+    assert (once.at_least, once.alone, once.end) == (0.8, 3, 1)
 
 
 def test_beacons_of_other_nodes_explain_only_some_reactions() -> None:

@@ -25,6 +25,10 @@ _NOTHING = 1e-17
 CAUTION = 1.64
 #: A link has ended if after its last reactions there were this many trials in windows with a share below ``_GONE``.
 _TRIALS, _GONE = 10, 0.1
+#: By chance, a lower bound is positive in 5 % of the windows. If it is in less than this share of them, they show the
+#: link only if the node has reacted to the speaker alone at least ``_ALONE`` times, in at least ``_OFTEN`` of the
+#: trials; otherwise, only windows with ``_ALONE`` such reactions show it.
+_BY_CHANCE, _ALONE, _OFTEN = 0.1, 2, 0.2
 
 Outcomes = Mapping[Exposure, tuple[int, int]]
 """Senders with the numbers of their beacons -> number of trials without a reaction, and with one."""
@@ -49,6 +53,8 @@ class Link(NamedTuple):
     """Lower bound of the share, with a confidence of 95 %."""
     alone: int
     """Number of reactions in trials with this speaker as the only sender."""
+    alone_of: int
+    """Number of these trials."""
 
 
 @functools.lru_cache(maxsize=1 << 16)
@@ -85,6 +91,8 @@ class Inference:
         """Speaker (a bit) -> number of trials with it."""
         self.alone: dict[int, int] = {}
         """Speaker -> number of reactions to it alone; none: 0."""
+        self.alone_of: dict[int, int] = {}
+        """Speaker -> number of trials with it alone; none: 0."""
         self._of: dict[int, list[tuple[int, int]]] = {}
         """Speaker -> places in ``_outcomes`` of the trials with it, each with the number of its beacons."""
         for place, (exposure, missed, hit) in enumerate(self._outcomes):
@@ -92,7 +100,9 @@ class Inference:
                 self.trials[bit] = self.trials.get(bit, 0) + missed + hit
                 self._of.setdefault(bit, []).append((place, count))
             if len(exposure) == 1:
-                self.alone[exposure[0][0]] = self.alone.get(exposure[0][0], 0) + hit
+                bit = exposure[0][0]
+                self.alone[bit] = self.alone.get(bit, 0) + hit
+                self.alone_of[bit] = self.alone_of.get(bit, 0) + missed + hit
         self.shares = dict.fromkeys(self.trials, 0.5)
         """Speaker -> probability that one of its beacons is heard."""
         self.due = dict.fromkeys(self.trials, 0.0)
@@ -208,9 +218,9 @@ class Whole(NamedTuple):
     share: float
     """Mean share of all windows, weighted by their trials, 0..1."""
     at_least: float
-    """Largest lower bound of all windows."""
+    """Largest lower bound of the windows that show the link."""
     alone: int
-    """Number of reactions in trials with this speaker as the only sender."""
+    """Number of reactions, in these windows, in trials with this speaker as the only sender."""
     trials: int
     reactions: float
     """Estimated number of reactions that this speaker caused."""
@@ -233,13 +243,17 @@ def _whole(links: list[Link]) -> Whole:
     trials = sum(link.trials for link in links)
     share = sum(link.share * link.trials for link in links) / trials
     shown = [link for link in links if link.at_least > 0]
+    alone = sum(link.alone for link in shown)
+    often = alone >= max(_ALONE, _OFTEN * sum(link.alone_of for link in links))
+    if len(shown) < _BY_CHANCE * len(links) and not often:
+        shown = [link for link in shown if link.alone >= _ALONE]
     end = shown[-1].end if shown else links[-1].end
     after = links[links.index(shown[-1]) + 1 :] if shown else []
     silent = sum(link.trials for link in after if link.share < _GONE)
     return Whole(
         share,
-        max((link.at_least for link in links), default=0.0),
-        sum(link.alone for link in links),
+        max((link.at_least for link in shown), default=0.0),
+        sum(link.alone for link in shown),
         trials,
         sum(link.reactions for link in links),
         end,

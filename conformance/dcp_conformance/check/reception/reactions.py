@@ -217,8 +217,9 @@ class Reception:
         for bit, share in model.shares.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, model.lower_bound(bit)
-                count, due, alone = model.trials[bit], model.due[bit], model.alone.get(bit, 0)
-                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
+                alone = model.alone.get(bit, 0), model.alone_of.get(bit, 0)
+                count, due = model.trials[bit], model.due[bit]
+                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, *alone))
 
     def _known(self, others: list[Trial]) -> _Known:
         """Infer the speakers that a node hears in a window from the trials of its groups without suspicion."""
