@@ -152,6 +152,8 @@ def test_whole_records_may_be_listed_in_1_0():
         ("V-PAR-description-17-pixit", "dcp-1.0", ["TC_VD_CRE_BI_01", "TC_VD_PAR_BV_02"]),
         # Before 1.2 BP cannot be deactivated while payloads are submitted.
         ("V-UT-slow-250", "dcp-1.1", ["TC_BP_TX_BV_0*", "TC_BP_QM_BV_0*", "TC_VD_CRE_BV_08", "TC_VD_UPD_BV_05"]),
+        # Beacons with the former payload come during a call.
+        ("V-UT-slow-500", "dcp-2.0", ["TC_DCP_MODEL_BV_01-registrations-17"]),
         ("V-BP-TX-triggered", "dcp-1.1", ["TC_BP_TXP_BI_02*"]),
         ("V-TYPE-node-id-2", "dcp-1.1", ["TC_BP_RX_BI_2*"]),
         ("V-TYPE-var-len-2", "dcp-2.0", ["TC_DCP_PROF_BV_01"]),

@@ -415,18 +415,21 @@ class BPModel:
         """Allow for a beacon that was generated before ``time`` and not received yet."""
         if not self.timing.flight or (not self.active and time - self.switched > self.timing.flight):
             return
+        # A call that lasts for several periods is answered after as many beacons.
+        shortest = 9 * min(self._interval, self.timing.period) // 10
+        flying = max(_FLYING, self.timing.flight // shortest + 1)
         for client in self.clients.values():
             if client.possible is None:
                 continue
             more = set(client.possible)
             edge = list(client.possible)
             # Where a beacon may have several payloads of a client, it may have them all.
-            most = _MOST if client.several and client.mode.is_queue else _FLYING
+            most = _MOST if client.several and client.mode.is_queue else flying
             while edge and len(more) <= _MOST:
                 edge = [
-                    (queue if client.mode is _Q.REPEAT else queue[1:], (*flying, queue[0]))
-                    for queue, flying in edge
-                    if queue and len(flying) < most
+                    (queue if client.mode is _Q.REPEAT else queue[1:], (*sent, queue[0]))
+                    for queue, sent in edge
+                    if queue and len(sent) < most
                 ]
                 more.update(edge)
             client.possible = more if len(more) <= _MOST else None
