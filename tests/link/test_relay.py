@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -161,15 +162,18 @@ def test_links_change_while_frames_pass(make: Make, listen: Listen) -> None:
 def test_a_frame_is_sent_at_its_deadline_and_not_before(make: Make, listen: Listen) -> None:
     fabric = make("delay=20ms")
     a, b, _ = map(listen, fabric.namespaces)
-    delays = []
+    delays, late = [], []
     for number in range(30):
+        slept = time.monotonic_ns()
+        time.sleep(0.02)
         begun = time.monotonic_ns()
+        late.append(begun - slept - 20_000_000)
         a.send(frame(0, bytes([number])))
         assert b.recv(2000)[14:15] == bytes([number])
         delays.append(time.monotonic_ns() - begun)
     assert min(delays) >= 20_000_000
-    # Without a bound for the usual frame: a busy machine wakes up when it can.
-    assert sorted(delays)[2] < 40_000_000
+    # Relay and receiver wake up three times for each frame, on a busy machine as late as this process after a pause.
+    assert median(delays) < 40_000_000 + 3 * median(late)
     assert fabric.counters()["links"]["0>1"]["delay"] == 30 * 20_000_000
 
 

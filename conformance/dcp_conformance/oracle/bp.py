@@ -415,7 +415,7 @@ class BPModel:
         """Allow for a beacon that was generated before ``time`` and not received yet."""
         if not self.timing.flight or (not self.active and time - self.switched > self.timing.flight):
             return
-        # A call that lasts for several periods is answered after as many beacons.
+        # During a call that lasts several periods, the node sends several beacons, which are judged after the answer.
         shortest = 9 * min(self._interval, self.timing.period) // 10
         flying = max(_FLYING, self.timing.flight // shortest + 1)
         for client in self.clients.values():

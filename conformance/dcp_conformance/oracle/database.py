@@ -110,8 +110,8 @@ class VardisModel(Oracle):
         self._order = Order(self.late, in_order=features.version >= SpecVersion.V1_2)
         self._longest = (limits.max_value_length, limits.max_description_length)
         self._told: dict[int, tuple[Version, int, int]] = {}
-        """By variable: its version at the node's last VarDelete, the time of that, ns, and the number of VarDeletes
-        since this version."""
+        """By variable: its version when the node sent the last VarDelete, the time of that VarDelete in ns, and the
+        number of VarDeletes during this version."""
         self._asked: dict[tuple[ICType, int], int] = {}
         """By kind and variable: the time of the only reason for the request that the node may have queued, ns."""
         self._passed: dict[int, int] = {}
@@ -513,15 +513,15 @@ class VardisModel(Oracle):
                 yield from self._missing(groups, free, since, causes if self._whole else {})
                 yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
-            key = kind, var_id = kind, _var_id(record)
+            var_id = _var_id(record)
             if kind is _DELETES:
                 now = self._variable(var_id).now
                 version, _, count = self._told.get(var_id, (now, 0, 0))
                 self._told[var_id] = now, time, count + 1 if version is now else 1
-            if due := self._due.get(key):
+            if due := self._due.get((kind, var_id)):
                 due.left -= 1
                 if not due.left:
-                    del self._due[key]
+                    del self._due[kind, var_id]
 
     def _shown(self, containers: Sequence[Container]) -> dict[int, int]:
         """Return the numbers and times of the frames, or services (0), that a payload certainly shows."""

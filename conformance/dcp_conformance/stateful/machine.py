@@ -391,7 +391,7 @@ class NodeMachine(RuleBasedStateMachine):
         most = 20 if client is None else client.most
         octets = {
             "usual": min(4, most), "most": most, "above": most + 1, "empty": 0, "one": 1, "half": most // 2 + 1,
-            # Its length in 8 bits is permitted.
+            # The low octet of this length is a permitted length.
             "wraps": most + 256,
         }[size]  # fmt: skip
         if times == "fill":

@@ -38,7 +38,7 @@ class BenchNames:
         self._base = bench.records.creation_time()
         self._unit = bench.profile.types.timestamp.per_second
         self._late = False
-        """Whether the sequence has used a creation time that is an hour ahead."""
+        """True if the sequence has used a creation time one hour in the future."""
 
     def protocol(self, number: int) -> int:
         """Return the identifier of a protocol that is not registered."""

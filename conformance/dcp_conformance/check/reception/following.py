@@ -181,7 +181,10 @@ class Station:
         return first >= DELAYS and first >= MOSTLY * second
 
     def has_stated(self, var_id: int, since: int) -> bool:
-        """Whether it has stated the number of a variable in beacon ``since`` or later, of the latest ``FRESH``."""
+        """Return whether the node has stated the number of a variable in its beacon ``since`` or a later one.
+
+        Only its last ``FRESH`` beacons are known.
+        """
         for number, stated in reversed(self.stated):
             if number < since:
                 return False

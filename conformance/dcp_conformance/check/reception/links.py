@@ -25,10 +25,12 @@ _NOTHING = 1e-17
 CAUTION = 1.64
 #: A link has ended if after its last reactions there were this many trials in windows with a share below ``_GONE``.
 _TRIALS, _GONE = 10, 0.1
-#: By chance, a lower bound is positive in 5 % of the windows. If it is in less than this share of them, they show the
-#: link only if the node has reacted to the speaker alone at least ``_ALONE`` times, in at least ``_OFTEN`` of the
-#: trials; otherwise, only windows with ``_ALONE`` such reactions show it.
-_BY_CHANCE, _ALONE, _OFTEN = 0.1, 2, 0.2
+#: Minimum number of reactions to a speaker alone that prove a link.
+ALONE = 2
+#: In 5 % of the windows, the lower bound is positive by chance. If it is positive in less than ``_BY_CHANCE`` of the
+#: windows, these show the link only if the node has reacted at least ``ALONE`` times to the speaker alone, and in at
+#: least ``_OFTEN`` of the trials with the speaker alone. Otherwise only windows with ``ALONE`` such reactions show it.
+_BY_CHANCE, _OFTEN = 0.1, 0.2
 
 Outcomes = Mapping[Exposure, tuple[int, int]]
 """Senders with the numbers of their beacons -> number of trials without a reaction, and with one."""
@@ -244,9 +246,9 @@ def _whole(links: list[Link]) -> Whole:
     share = sum(link.share * link.trials for link in links) / trials
     shown = [link for link in links if link.at_least > 0]
     alone = sum(link.alone for link in shown)
-    often = alone >= max(_ALONE, _OFTEN * sum(link.alone_of for link in links))
+    often = alone >= max(ALONE, _OFTEN * sum(link.alone_of for link in links))
     if len(shown) < _BY_CHANCE * len(links) and not often:
-        shown = [link for link in shown if link.alone >= _ALONE]
+        shown = [link for link in shown if link.alone >= ALONE]
     end = shown[-1].end if shown else links[-1].end
     after = links[links.index(shown[-1]) + 1 :] if shown else []
     silent = sum(link.trials for link in after if link.share < _GONE)

@@ -529,16 +529,12 @@ class Observer:
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
         cursor, bit, hears = station.cursor, station.bit, station.hears
-        everybody = hears == -1
         found: list[tuple[int, tuple[Kind, int], list[Event]]] = []
         for key, events in reversed(self._log.items()):
             if events[-1][0] < cursor:
                 break
             since = events[bisect_left(events, (cursor,)) :]
-            mine = [each for each in since if each[1] & bit]
-            if not everybody:
-                mine = [each for each in mine if each[2] & hears]
-            if mine:
+            if mine := [each for each in since if each[1] & bit and each[2] & hears]:
                 found.append((mine[0][0], key, mine))
         for _, key, events in sorted(found):
             if (last := self._open(station, *key)) is not None:

@@ -13,7 +13,7 @@ from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
 from .following import DELAYS, MOSTLY, Exposure, Kind, Proof, Station, Trial
-from .links import Inference, Link, bits, reacts, without
+from .links import ALONE, Inference, Link, bits, reacts, without
 from .observer import Observer
 from .tallies import UP, Gap, Tally
 from .unrecorded import Timeline, silent_senders
@@ -24,8 +24,6 @@ _WINDOW, _MOST = 20_000_000_000, 3_000
 _SURE = 0.6
 #: Standard deviations between a share and its lower bound, and the minimum of this bound for any conclusion.
 _CAUTIOUS, _HEARS = 3.0, 0.25
-#: Minimum number of reactions to a speaker alone for conclusions from its beacons.
-_ALONE = 2
 #: A missing reaction counts if the link was proved before and after it, each at most this far away (ns).
 _BELIEF = 10_000_000_000
 #: The same time (ns) for a link with a share below ``_STEADY``: it may fail and recover in between.
@@ -229,7 +227,7 @@ class Reception:
             bit for bit, share in shares.items() if share >= _STEADY and model.lower_bound(bit, _LIKELY) >= _AS_GOOD
         }
         # A reaction that seems to be caused by one speaker may be caused by another one with an uncertain share.
-        bounds = {bit: model.lower_bound(bit, _CAUTIOUS) for bit in shares if model.alone.get(bit, 0) >= _ALONE}
+        bounds = {bit: model.lower_bound(bit, _CAUTIOUS) for bit in shares if model.alone.get(bit, 0) >= ALONE}
         bounds = {bit: bound for bit, bound in bounds.items() if bound >= _HEARS}
         # Beacons that the node has certainly received: it took another record that only this beacon carried.
         heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}

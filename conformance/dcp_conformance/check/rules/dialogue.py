@@ -13,14 +13,14 @@ from dcp_spec.constants import ICType
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.reception import Kind, Proved, Shortage, reception_of
 from dcp_conformance.check.reception.following import Station
-from dcp_conformance.check.reception.links import summary
+from dcp_conformance.check.reception.links import ALONE, summary
 from dcp_conformance.check.statements import Statement
 from dcp_conformance.model.verdict import Verdict
 
 __all__ = ["RULES", "Counter"]
 
-#: A link is proved by at least ``_ALONE`` reactions to the speaker alone, and a lower bound of the share of ``_SHARE``.
-_ALONE, _SHARE = 2, 0.1
+#: Minimum of the lower bound of the share that proves a link, beside ``ALONE`` reactions to the speaker alone.
+_SHARE = 0.1
 #: The absence of a link is proved by at least ``_TRIALS`` trials with a share of at most ``_SOME``.
 _SOME, _TRIALS = 0.02, 20
 #: Number of records without a reaction that a finding cites.
@@ -83,7 +83,7 @@ class ReceptionLinks(Invariant):
                 link = found.get((listener.node, speaker.node))
                 if listener is speaker:
                     continue
-                heard = link is not None and link.alone >= _ALONE and link.at_least >= _SHARE
+                heard = link is not None and link.alone >= ALONE and link.at_least >= _SHARE
                 if link is None or (not heard and (link.share > _SOME or link.trials < _TRIALS)):
                     unknown.append(name(speaker.node))
                 elif heard:

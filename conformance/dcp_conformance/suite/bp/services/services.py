@@ -100,7 +100,7 @@ def full_size(bench: Bench, size: int | None) -> None:
     stimulus="BP-TransmitPayload with more than maxPayloadSize octets (excess octets: {variant})",
     expect="BP-STATUS-PAYLOAD-TOO-LARGE; the payload is neither buffered nor sent",
     needs=Needs(entities=(), ut=(*CLIENT, QUERY)),
-    # The low octet of a length with 256 more is that of a permitted one.
+    # With 256 octets more, the low octet of the length is a permitted length.
     variants={"1": 1, "100": 100, "256": 256},
 )
 def too_large(bench: Bench, more: int) -> None:
