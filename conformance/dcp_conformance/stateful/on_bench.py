@@ -144,8 +144,12 @@ class BenchExecutor:
         return self._bench.call(method, **params)
 
     def send(self, octets: bytes, source: bytes, blocks: int) -> None:
-        """Send a beacon."""
-        self._bench.transmission.send(octets, source, blocks)
+        """Send a beacon, and wait until an implementation that processes one at a time has no other one to process."""
+        bench = self._bench
+        bench.transmission.send(octets, source, blocks)
+        if (busy := bench.sut.busy_until - bench.now()) > 0:
+            # The time limits of the model are for one frame. This implementation processes them one at a time.
+            bench.waiting.wait_ns(busy)
 
     def wait(self, duration: int) -> list[Event]:
         """Let time pass, and return what came since the last call."""
