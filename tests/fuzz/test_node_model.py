@@ -22,6 +22,7 @@ from dcp_conformance.stateful.steps import (
     Beacon,
     Call,
     Client,
+    Damaged,
     Records,
     Report,
     Step,
@@ -32,6 +33,7 @@ from dcp_conformance.stateful.steps import (
 from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
+from dcp_selftest.mutants.vardis.queue_order import FaultySenderIgnored
 from dcp_spec.constants import ICType, SpecVersion, features
 from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
@@ -677,7 +679,7 @@ _CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "val
 
 
 @pytest.mark.req("BP-RX-09", "BP-RX-14", "BP-PTI-02", "BP-TX-01", "SRP-SRV-03", "SRP-NT-01", "VD-SCR-05", "VD-PD-04")
-@pytest.mark.req("BP-RX-08", "VD-DB-03", "VD-CRE-13", "VD-PAY-06", "VD-PU-07")
+@pytest.mark.req("BP-RX-08", "VD-DB-03", "VD-CRE-13", "VD-PAY-06", "VD-PU-07", "VD-ROB-01")
 @pytest.mark.parametrize(
     ("fault", "steps", "requirement"),
     [
@@ -719,6 +721,14 @@ _CREATED: Final = Call("RTDB-Create", {"varId": 0, "repCnt": 1, "descr": 3, "val
         (EmptyFirst, (registering(1), calling("BP-TransmitPayload", protId=5, payload=0)), "BP-TXP-01"),
         (OldOrder, (_CREATED, Wait(2), calling("RTDB-Update", varId=0, value=2), Wait(3)), "VD-PAY-01"),
         (TellsOnce, (Beacon(0, (creating(0, 1, repetitions=3, timeout=1200),)), Wait(40)), "VD-SCR-04"),
+        (
+            FaultySenderIgnored,
+            (
+                Beacon(0, (creating(0, 1),)), Wait(2), *(Beacon(0, (Damaged(),)),) * 9,
+                Beacon(0, (Records("update", 0, 1, 2),)), Wait(4),
+            ),
+            "VD-ROB-01",
+        ),
     ],
 )  # fmt: skip
 def test_a_fault_is_named(fault: type, steps: tuple[Step, ...], requirement: str) -> None:

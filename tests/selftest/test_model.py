@@ -118,6 +118,12 @@ def test_a_change_that_the_model_can_observe_is_refuted() -> None:
     assert result.by == "run"
 
 
+def test_a_change_of_no_protocol_is_searched_with_all_themes() -> None:
+    site = next(each for each in sites() if "StampClock.period_ns: arithmetic" in str(each))
+    [(_, result)] = run([site], sequences=2, seed=1, jobs=1)
+    assert (result.by, result.sequences) == ("", 2)
+
+
 def test_a_sample_of_the_ledger_is_the_same_for_a_seed() -> None:
     assert excused(5, 3) == excused(5, 3) != excused(5, 4)
     assert len(excused(None, 1)) == len(ledger())

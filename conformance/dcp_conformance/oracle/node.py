@@ -89,6 +89,8 @@ class NodeModel:
         self._created: dict[int, tuple[int, int]] = {}
         """creationTime of variables of the node, in ticks, with the times at which they were created."""
         self._number = 0
+        self._damaged = False
+        """Whether the last payload for VarDis was damaged."""
         self._least = -(1 << 62)
 
     def _vardis(self, readings: Mapping[str, str]) -> VardisModel:
@@ -355,9 +357,15 @@ class NodeModel:
 
     def _hear(self, octets: bytes, time: int, closed: tuple[str, ...], *, skipped: bool) -> None:
         """Process a payload of VarDis. ``skipped``: whether a block of an unregistered protocol is before it."""
-        records: list[VardisRecord] = [
-            each for container in self.codec.decode_containers(octets) for each in container.records
-        ]
+        try:
+            containers = self.codec.decode_containers(octets)
+        except DecodeError:
+            # Damaged from the first octet: it has no effect, and the next payload is processed like any other.
+            self._damaged = True
+            return
+        records: list[VardisRecord] = [each for container in containers for each in container.records]
+        added = ("BP-RX-08",) * skipped + ("VD-ROB-01",) * self._damaged
+        self._damaged = False
         if closed:
             for each in records:
                 self.vardis.why[_variable(each)] = closed
@@ -369,8 +377,8 @@ class NodeModel:
                 self.vardis.doubt(_variable(each), creation)
             return
         self.vardis.hear(records, time, self._number)
-        for var_id in {_variable(each) for each in records} if skipped else ():
-            self.vardis.why[var_id] = (*self.vardis.why.get(var_id, ()), "BP-RX-08")
+        for var_id in {_variable(each) for each in records} if added else ():
+            self.vardis.why[var_id] = (*self.vardis.why.get(var_id, ()), *added)
 
     def beacon(self, octets: bytes, time: int) -> Iterator[Finding]:
         """Judge a beacon of the node that was received at ``time``."""

@@ -33,6 +33,7 @@ from .steps import (
     Beacon,
     Call,
     Client,
+    Damaged,
     Data,
     Fill,
     Records,
@@ -60,6 +61,8 @@ _KINDS: Final = {
 #: Sequence numbers, and octets after the last payload, of beacons that are unusual.
 _NUMBERS: Final = {"seqno 0": 0, "seqno largest": -1}
 _PADDING: Final = {"padded": b"\xa5" * 46, "padded far": bytes(200)}
+#: A payload for VarDis that begins with a container of an unknown type.
+_DAMAGED: Final = b"\x63\x01\x00"
 #: Octets of the longest beacon that a bearer may pad.
 _PADDED: Final = 64
 _QUERY, _LIST = "BP-QueryNumberBufferedPayloads", "BP-ListRegisteredProtocols"
@@ -429,6 +432,9 @@ class Driver:
                         Block(prot_id, self._octets(each.size, again=each.again, fill=each.fill))
                         for _ in range(each.count)
                     ]
+                elif isinstance(each, Damaged):
+                    self._count("VarDis active" if model.vardis.active else "VarDis inactive", f"damaged{about}")
+                    blocks.append(Block(BP_PROTID_VARDIS, _DAMAGED))
                 elif isinstance(each, Report) and self.executor.codec.profile.srp.is_report:
                     for number in range(each.neighbour, each.neighbour + each.count):
                         report = self._report(number, each)

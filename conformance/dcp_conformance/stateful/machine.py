@@ -35,6 +35,8 @@ from .steps import (
     Beacon,
     Call,
     Client,
+    Content,
+    Damaged,
     Data,
     Fault,
     RecordKind,
@@ -446,7 +448,7 @@ class NodeMachine(RuleBasedStateMachine):
         for _ in range(4 if shape in FAULTS else 1):
             self.take(_beacon(sender, tuple(blocks), shape))
 
-    def _block(self, what: int | str, *, plain: bool) -> Records | Report | Client:
+    def _block(self, what: int | str, *, plain: bool) -> Content:
         """Return a block for a protocol of this number, or of SRP or VarDis unless it must be ``plain``."""
         if what == "long":
             # For a protocol that is rarely registered; its length has a high octet.
@@ -664,10 +666,15 @@ class NodeMachine(RuleBasedStateMachine):
             st.sampled_from((1, 1, 1, 2, "quarter", "most")), st.sampled_from((1, 1, "most", "most")), _TIMEOUTS,
             _OCTETS,
         ), min_size=1, max_size=3),
-        shape=_SHAPES,
+        shape=_SHAPES, damaged=st.sampled_from((0,) * 12 + (1, 9)),
     )  # fmt: skip
-    def records(self, sender: int, number: int, events: list[Any], shape: str) -> None:
-        """Send instructions, mostly about one variable, each with at most one flaw."""
+    def records(self, sender: int, number: int, events: list[Any], shape: str, damaged: int = 0) -> None:
+        """Send instructions, mostly about one variable, each with at most one flaw.
+
+        ``damaged``: number of damaged payloads that the neighbour sends before.
+        """
+        for _ in range(damaged):
+            self.take(Beacon(sender, (Damaged(),)))
         blocks = [
             self._record(
                 event, self._variable(number + further), far, self._limit(repetitions, "REPETITIONS"), timeout, octets
@@ -794,7 +801,7 @@ class NodeMachine(RuleBasedStateMachine):
         self.take(Wait(periods))
 
 
-def _beacon(sender: int, blocks: tuple[Records | Report | Client, ...], shape: str) -> Beacon:
+def _beacon(sender: int, blocks: tuple[Content, ...], shape: str) -> Beacon:
     """Return a beacon with a fault or an unusual trait."""
     if shape in FAULTS:
         return Beacon(sender, blocks, fault=cast("Fault", shape))

@@ -103,11 +103,19 @@ class Client(msgspec.Struct, frozen=True, omit_defaults=True, tag="client"):
     fill: Fill = ""
 
 
+class Damaged(msgspec.Struct, frozen=True, omit_defaults=True, tag="damaged"):
+    """A payload for VarDis that begins with a container of an unknown type."""
+
+
+Content = Records | Report | Client | Damaged
+"""The contents of blocks."""
+
+
 class Beacon(msgspec.Struct, frozen=True, omit_defaults=True, tag="beacon"):
     """A beacon of a neighbour."""
 
     sender: int
-    blocks: tuple[Records | Report | Client, ...]
+    blocks: tuple[Content, ...]
     fault: Fault = ""
     trait: Trait = ""
 
@@ -139,7 +147,9 @@ def _node(number: int) -> str:
     return names.get(number, f"neighbour {number}")
 
 
-def _block(block: Records | Report | Client) -> str:
+def _block(block: Content) -> str:
+    if isinstance(block, Damaged):
+        return "a damaged payload of VarDis"
     if isinstance(block, Client):
         several = f"{block.count} times " if block.count > 1 else ""
         return f"{several}{block.size} octets for protocol {block.protocol}{_octets(block)}"

@@ -61,7 +61,8 @@ def _searched(site: Site, sequences: int, seed: int) -> bytes:
     from .campaign import searched
     from .faults import Fault
 
-    about = site.module.partition(".")[0]
+    protocol, _, module = site.module.partition(".")
+    about = protocol if module else ""
     fault = Fault(f"change {site.key}", PROFILES[0], about)
     found = searched(fault, sequences=sequences, seed=seed, shrink=True)
     if not found.by and about == "srp":
