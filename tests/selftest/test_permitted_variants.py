@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import pytest
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Testing
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.stateful.corpus import Sequence
+from dcp_conformance.stateful.judged import judge as judge_steps
+from dcp_conformance.stateful.steps import Call, Step
 from dcp_selftest.mutants import node_with
 from dcp_selftest.variants import Variant, all_variants
 from dcp_selftest.variants.campaign import judge
@@ -173,6 +177,39 @@ def test_the_suite_passes_permitted_variants(variant: str, profile: str, cases: 
     result = judge(all_variants()[variant], profile, picked)
     assert picked
     assert [str(each) for each in (*result.fails, *result.inconclusive, *result.errors)] == []
+
+
+@pytest.mark.req("VD-SCR-01", "VD-PAR-02")
+@pytest.mark.parametrize(
+    ("variant", "steps"),
+    [
+        # The variable is created half a second before the confirm, and its timeout passes during the next calls.
+        (
+            "V-UT-slow-500",
+            (
+                Call("RTDB-Create", {"varId": 3, "repCnt": 1, "descr": 3, "value": 2, "timeout": 1200}),
+                Call("RTDB-Update", {"varId": 2, "value": 32}, 6),
+            ),
+        ),
+        # It sets a maximum for which its payloads have room.
+        (
+            "V-PAR-payload-400-get",
+            (
+                Call("VD-SetParameter", {"name": "VARDISPAR_MAX_DESCRIPTION_LENGTH", "value": 255}),
+                Call("VD-SetParameter", {"name": "VARDISPAR_MAX_VALUE_LENGTH", "value": 255}),
+                Call("RTDB-Create", {"varId": 1, "repCnt": 1, "descr": 255, "value": 255, "timeout": 0}),
+            ),
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)  # fmt: skip
+def test_the_model_passes_permitted_variants(variant: str, steps: tuple[Step, ...]):
+    base = next(case for case in all_cases().values() if case.id.startswith("TC_DCP_MODEL"))
+    needs = replace(base.needs, ut=Sequence("", steps).methods)
+    case = replace(base, needs=needs, run=lambda bench: judge_steps(bench, steps, alone=False))
+    result = judge(all_variants()[variant], "dcp-2.0", [case])
+    assert [str(each) for each in (*result.fails, *result.inconclusive, *result.errors)] == []
+    assert result.passed
 
 
 #: Cases that compare time stamps of the node's clock.

@@ -298,6 +298,15 @@ class VardisModel(Oracle):
         self._queued(spec.var_id, time, "VD-CRE-12", new=new)
         self.why[spec.var_id] = ("VD-CRE-11", "VD-CRE-03") if again else ("VD-CRE-10", "VD-CRE-12")
 
+    def began(self, var_id: int, earlier: int) -> None:
+        """Begin the timeout of a variable ``earlier`` ns before the confirm of the service that has started it.
+
+        Call once after each RTDB-Create or RTDB-Update with status OK.
+        """
+        variable = self.variables[var_id]
+        if self.active and variable.due != NEVER:
+            variable.due -= earlier
+
     def _switch(self, active: bool, time: int) -> None:
         if active == self.active:
             return

@@ -266,6 +266,8 @@ class NodeModel:
             yield from self.srp.listed(rows, time, after[1] - after[0], only)
         elif method.startswith(("RTDB-", "VD-MGMT-")):
             yield from self.vardis.confirmed(method, params, result, time, after[1] - after[0])
+            if method in ("RTDB-Create", "RTDB-Update") and ok:
+                self.vardis.began(params["varId"], after[0] - before[0])
         else:
             yield from self.bp.confirmed(method, params, result, time)
 
