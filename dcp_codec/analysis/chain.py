@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 from .entry import Entry, Stamp
@@ -24,46 +25,58 @@ class Hop(NamedTuple):
     """The state of the node that sent the frame; None if the recording has no such frame."""
     frame: Stamp | None
     """The last frame with the value before the node stated it."""
-    frames: int
-    """Number of frames with the value that may have brought it. With 1, the node has certainly received this one."""
 
 
 def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:
     """Return for each state, in the order of time, the frame that brought it; none for those of producers."""
-    carriers: dict[tuple[int, int], dict[bytes, Entry]] = {}
-    known: dict[bytes, dict[bytes, bool]] = {}
-    """Node -> whether it may hear another one."""
-    hops = []
-    for each in entries:
-        others = carriers.setdefault((each.var_id, each.number), {})
-        best: tuple[Stamp, Entry] | None = None
-        frames, node, frame, least = 0, each.node, (each.frame,), each.time - _RECENT
-        if each.number >= 0 and producers.get(each.var_id) != node:
-            heard, gone = known.setdefault(node, {node: False}), []
-            for who, other in others.items():
-                # Numbers are used again: the node that sent the value still states it, or did so shortly before.
-                if other.until < least:
-                    gone.append(who)
+    hops = [Hop(each, None, None) for each in entries]
+    states: dict[tuple[int, int], list[int]] = {}
+    """Variable and number -> the places of its states in ``entries``."""
+    for place, each in enumerate(entries):
+        if each.number >= 0:
+            states.setdefault((each.var_id, each.number), []).append(place)
+    known: dict[tuple[bytes, bytes], bool] = {}
+    """Whether a node may hear another one."""
+    for (var_id, _), places in states.items():
+        if len(places) < 2:
+            continue
+        carried = sorted([(stamp, place) for place in places for stamp in entries[place].carried])
+        latest: dict[bytes, int] = {}
+        """Node -> the place of its latest state so far."""
+        for here in places:
+            each = entries[here]
+            node, begin = each.node, bisect_left(carried, ((each.frame,),))
+            while begin and producers.get(var_id) != node:
+                begin -= 1
+                stamp, place = carried[begin]
+                other = entries[place]
+                if place >= here:
                     continue
-                if (may := heard.get(who)) is None:
-                    may = heard[who] = hears(node, who) is not False
-                if not may or not (carried := other.carried):
+                if latest[other.node] != place or other.until < each.time - _RECENT:
+                    # Numbers are used again: this state cannot be the source of a later one either.
+                    del carried[begin]
                     continue
-                latest = carried[-1]
-                if latest < frame:
-                    frames += len(carried)
-                elif before := bisect_left(carried, frame):
-                    frames += before
-                    latest = carried[before - 1]
-                else:
-                    continue
-                if best is None or latest > best[0]:
-                    best = latest, other
-            for who in gone:
-                del others[who]
-        hops.append(Hop(each, None, None, 0) if best is None else Hop(each, best[1], best[0], frames))
-        others[node] = each
+                pair = node, other.node
+                if (may := known.get(pair)) is None:
+                    may = known[pair] = node != other.node and hears(*pair) is not False
+                if may:
+                    hops[here] = Hop(each, other, stamp)
+                    break
+            latest[node] = here
     return hops
+
+
+def count(hop: Hop, entries: Sequence[Entry], hears: Hears) -> int:
+    """Return the number of frames with a value that may have brought it to a node.
+
+    With 1, the node has certainly received this frame. ``entries`` are all of the variable, in the order of time.
+    """
+    each, others = hop.entry, dict[bytes, Entry]()
+    for other in takewhile(lambda other: other is not each, entries):
+        if other.number == each.number and other.node != each.node and hears(each.node, other.node) is not False:
+            others[other.node] = other
+    near = [other for other in others.values() if other.until >= each.time - _RECENT]
+    return sum(bisect_left(other.carried, (each.frame,)) for other in near)
 
 
 def came(entry: Entry, entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:

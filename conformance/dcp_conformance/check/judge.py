@@ -62,7 +62,7 @@ RULES: tuple[type[Invariant], ...] = (
 #: The rules about reactions, and with them so many others that need neither the ledger nor previous records of a node
 #: that each of two processes has half of the work (:mod:`.sharing`).
 OF_REACTIONS = frozenset(rule for rule in RULES if rule.of_reactions)
-WITHOUT_LEDGER = OF_REACTIONS.union(rules_data.RULES, rules_vardis.RULES)
+WITHOUT_LEDGER = OF_REACTIONS.union(rules_vardis.RULES)
 _STIMULUS: Final = "none: the recording is judged unchanged"
 #: Minimum number of beacons in the recording for the verdict pass.
 LEAST_BEACONS: Final = 30
@@ -171,7 +171,7 @@ class Judge:
         self._began = time.monotonic()
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
-        self._senders: dict[bytes, int] = {}
+        self._senders: dict[bytes, None] = {}
         self._summary: dict[tuple[bytes, bytes], Whole] | None = None
 
     def feed(self, frame: Frame) -> None:
@@ -191,8 +191,8 @@ class Judge:
         time_ns = self._clock.time(frame.time_ns)
         heard = ReceivedBeacon(self._codec, frame.number, time_ns, time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
-        if seen.sender in self._senders or len(self._senders) < 4096:
-            self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1
+        if seen.sender not in self._senders and len(self._senders) < 4096:
+            self._senders[seen.sender] = None
         self._recent[frame.number] = (frame, framing.start, seen.sender)
         if len(self._recent) > _KEPT:
             self._recent.popitem(last=False)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from dcp_codec.analysis.chain import Hears, ahead, at, came, way
+from dcp_codec.analysis.chain import Hears, ahead, at, came, count, way
 from dcp_codec.analysis.entry import DELETED, UNKNOWN, Entry
 from dcp_conformance.errors import UsageError
 
@@ -118,9 +118,8 @@ class _Question:
         for hop in came(held, self._entries, self._judge.ledger.producers, self._hears):
             entry, verb = hop.entry, hop.entry.kind.label
             if hop.source is not None and hop.frame is not None:
-                only = (
-                    "the only frame with it before" if hop.frames == 1 else f"the last of {hop.frames} frames with it"
-                )
+                frames = count(hop, self._entries, self._hears)
+                only = "the only frame with it before" if frames == 1 else f"the last of {frames} frames with it"
                 text = (
                     f"states {entry.number} in {verb}, after frame {hop.frame[0]} of {name(hop.source.node)} ({only})"
                 )

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.codec import Codec
-from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
+from dcp_codec.analysis.entry import Creation
+from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, Trace, name
 from dcp_conformance.check.statements import (
     ASK_CREATE,
     ASK_UPDATE,
@@ -42,35 +40,14 @@ _Key = tuple[bytes, int, ICType]
 """Node, variable, and kind of record."""
 
 
-class _Frame:
-    """A recent beacon whose records may be a reason for other nodes to send an instruction again.
-
-    Few of these beacons are evaluated. They are therefore kept as octets and decoded again when needed.
-    """
-
-    __slots__ = ("_number", "_octets", "_of", "node", "time")
-
-    def __init__(self, seen: Seen) -> None:
-        self.time, self.node = seen.time, seen.sender
-        self._number, self._octets = seen.number, seen.heard.octets
-        self._of: dict[int, list[Statement]] | None = None
-
-    def of(self, var_id: int, codec: Codec) -> Sequence[Statement]:
-        """Return the records of one variable."""
-        if self._of is None:
-            self._of = {}
-            heard = ReceivedBeacon(codec, self._number, self.time, self.time, self._octets, self.node)
-            for each in statements_in(heard, self.node):
-                self._of.setdefault(each.var_id, []).append(each)
-        return self._of.get(var_id, ())
-
-
 @dataclass(slots=True)
 class _Run:
     """The beacons of a node that repeat one instruction."""
 
-    what: tuple[Any, ...]
-    """Identity of the instruction: the node's number of restarts, the creation, and the sequence number."""
+    life: int
+    """The node's number of restarts."""
+    creation: Creation | None
+    """The creation in the node's last create; None if it has sent none."""
     number: int
     """The sequence number of updates; 0 for other records."""
     rep_cnt: int
@@ -112,13 +89,16 @@ class Repetitions(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
-        self._creation: dict[tuple[bytes, int], tuple[tuple[Any, ...], int]] = {}
+        self._creation: dict[tuple[bytes, int], tuple[Creation, int]] = {}
         """(node, variable) -> producer and creation time, and repCnt, in the node's last create."""
         self._producers: set[bytes] = set()
         """Producers that creates name."""
         self._runs: dict[_Key, _Run] = {}
-        self._frames: deque[_Frame] = deque()
-        """Recent beacons. They are evaluated only for the few runs that exceed repCnt."""
+        self._frames: deque[tuple[bytes, Trace]] = deque()
+        """Recent beacons, with their nodes: their records may be a reason to send an instruction again. They are
+        decoded again only for the few runs that exceed repCnt."""
+        self._records: dict[int, dict[int, list[Statement]]] = {}
+        """Number of a decoded frame -> its records by variable."""
         self._dropped = 0
         """Number of frames that were removed from the start of ``_frames``."""
         self._asked: dict[tuple[int, int], int] = {}
@@ -140,12 +120,15 @@ class Repetitions(Invariant):
         node, now = seen.sender, seen.time
         if self._closed and self._closed[0][0] + _GAP_SHOWS < now:
             self._count(now)
-        if seen.parts:
-            self._frames.append(_Frame(seen))
-            if len(self._frames) > _FRAMES:
-                # A reason has an effect soon, or not at all.
-                self._frames.popleft()
-                self._dropped += 1
+        if not seen.parts:
+            return
+        self._frames.append((node, seen.trace))
+        if len(self._frames) > _FRAMES:
+            # A reason has an effect soon, or not at all.
+            _, gone = self._frames.popleft()
+            self._records.pop(gone.number, None)
+            self._dropped += 1
+        life = self.context.senders.life(node)
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
@@ -158,7 +141,7 @@ class Repetitions(Invariant):
                 # A node that sends another record of the variable holds it, and may delete it again.
                 self._close(now, (node, var_id, DELETE))
             if kind is CREATE or kind is UPDATE or kind is DELETE:
-                self._sent(each, now)
+                self._sent(each, now, life)
             elif kind is ASK_UPDATE and ((var_id, each.number) in self._asked or len(self._asked) < MOST_VARIABLES):
                 self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
 
@@ -169,15 +152,18 @@ class Repetitions(Invariant):
             return None
         return int(first[1].record.spec.rep_cnt)
 
-    def _sent(self, each: Statement, now: int) -> None:
-        """Add a create, update or delete to its run, or start a new run; ``now`` in ns since 1970."""
+    def _sent(self, each: Statement, now: int, life: int) -> None:
+        """Add a create, update or delete to its run, or start a new run.
+
+        ``now``: ns since 1970. ``life``: number of restarts of the node.
+        """
         node, var_id, kind = each.sender, each.var_id, each.kind
         key = (node, var_id, kind)
         number = each.number if kind is UPDATE else 0
-        creation = self._creation.get((node, var_id))
-        what = (self.context.senders.life(node), creation and creation[0], number)
+        known = self._creation.get((node, var_id))
+        creation = None if known is None else known[0]
         run = self._runs.get(key)
-        if run is not None and run.what == what:
+        if run is not None and run.number == number and run.life == life and run.creation == creation:
             run.beacons += 1
             run.last = each
             if run.beacons > run.allowed:
@@ -185,12 +171,12 @@ class Repetitions(Invariant):
             return
         if run is not None:
             self._close(now, key)
-        allowed = self._rep_cnt(var_id) if creation is None else creation[1]
+        allowed = self._rep_cnt(var_id) if known is None else known[1]
         if allowed is None or len(self._runs) >= MOST_VARIABLES:
             return
         asked = self._asked.get((var_id, number), 0) if kind is UPDATE else 0
         place = self._dropped + len(self._frames)
-        self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
+        self._runs[key] = _Run(life, creation, number, allowed, now, each, place, asked, allowed=allowed)
         self._deleting += kind is DELETE
 
     def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
@@ -202,17 +188,26 @@ class Repetitions(Invariant):
         if run.fresh:
             # The first payload may have been composed earlier: records heard since then are reasons for the next one.
             run.fresh = False
-            while begin and self._frames[begin - 1].time >= run.begin - self._composed:
+            while begin and self._frames[begin - 1][1].time >= run.begin - self._composed:
                 begin -= 1
-        codec, node, var_id = self.context.codec, key[0], key[1]
-        for frame in islice(self._frames, begin, None):
+        for node, frame in islice(self._frames, begin, None):
             begin += 1
-            if frame.node != node:
-                for each in frame.of(var_id, codec):
+            if node != key[0]:
+                for each in self._of(frame, node).get(key[1], ()):
                     self._allow(key, run, each.kind, each.number)
                 if run.allowed >= run.beacons and not complete:
                     break
         run.weighed = self._dropped + begin
+
+    def _of(self, frame: Trace, node: bytes) -> dict[int, list[Statement]]:
+        """Return the records of a recent beacon of ``node`` by variable."""
+        found = self._records.get(frame.number)
+        if found is None:
+            found = self._records[frame.number] = {}
+            heard = ReceivedBeacon(self.context.codec, frame.number, frame.time, frame.time, frame.octets, node)
+            for each in statements_in(heard, node):
+                found.setdefault(each.var_id, []).append(each)
+        return found
 
     def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
         """Allow more beacons if this record of another node is a reason; ``told`` is its sequence number."""
@@ -255,7 +250,7 @@ class Repetitions(Invariant):
                 counter = self._counters[key] = Counter()
             counter.note(run.last, missed=missed)
             if missed and key not in self._examples:
-                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is UPDATE else "")
+                what = f"{kind.label} of variable {var_id}" + (f", {run.number}," if kind is UPDATE else "")
                 self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
 
     def finish(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
@@ -343,6 +343,14 @@ class ReportTime(Invariant):
             self.violated(text, [seen], once=(report.node_id, "behind"), verdict=Verdict.INFO)
 
 
+def _finite(values: tuple[Any, ...]) -> bool:
+    """Whether all values are finite numbers. May be False if a sum is not, or if a value is no number."""
+    try:
+        return math.isfinite(sum(values))
+    except TypeError:
+        return False
+
+
 class ReportValues(Invariant):
     """Check the plausibility of safety data and time stamps."""
 
@@ -371,8 +379,8 @@ class ReportValues(Invariant):
             return
         self._reports += 1
         data = report.s_data
-        if isinstance(data, msgspec.Struct):
-            for number, value in enumerate(msgspec.structs.astuple(data)):
+        if isinstance(data, msgspec.Struct) and not _finite(values := msgspec.structs.astuple(data)):
+            for number, value in enumerate(values):
                 if isinstance(value, float) and not math.isfinite(value):
                     field = data.__struct_fields__[number]
                     self._observe(f"{name(seen.sender)}: {field} is {value}", [seen], (seen.sender, field))

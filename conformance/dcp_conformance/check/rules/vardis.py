@@ -121,6 +121,7 @@ class PayloadConsistency(Invariant):
     def _agree(self, seen: Seen) -> bool:
         """Whether nothing is deleted, and all records of each variable have one number; count the pairs."""
         before: dict[int, int] = {}
+        last: dict[int, int] = {}
         pairs = 0
         for kind, _, ids, _, stated in seen.parts:
             if kind is DELETE:
@@ -128,12 +129,14 @@ class PayloadConsistency(Invariant):
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 if len(stated) < len(ids):
                     return False
-                common = before.keys() & stated.keys() if before else ()
-                for var_id in common:
-                    if before[var_id] != stated[var_id]:
-                        return False
-                pairs += len(common)
-                before = before | stated if before else stated
+                if last:
+                    before = before | last if before else last
+                    common = before.keys() & stated.keys()
+                    for var_id in common:
+                        if before[var_id] != stated[var_id]:
+                            return False
+                    pairs += len(common)
+                last = stated
         self._pairs += pairs
         return True
 
