@@ -460,9 +460,10 @@ class BPModel:
                     )
                 continue
             if taken[prot_id] > 1 and not (client.several and client.mode.is_queue):
-                yield Finding(
-                    ("BP-QM-07",), "one payload of a client in a beacon", f"{taken[prot_id]} of protocol {prot_id}"
-                )
+                # A buffer has one payload, whatever allowMultiplePayloads is.
+                buffer = "BP-QM-04" if client.mode is _Q.ONCE else "BP-QM-05"
+                why = buffer if client.several else "BP-QM-07"
+                yield Finding((why,), "one payload of a client in a beacon", f"{taken[prot_id]} of protocol {prot_id}")
             yield from self._sent(client, octets, time, first=taken[prot_id] == 1)
         if not any(each.mode is _Q.REPEAT and each.prot_id in taken for each in self.clients.values()):
             self._lacking = time
