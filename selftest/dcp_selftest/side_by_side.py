@@ -52,7 +52,7 @@ class Comparison(msgspec.Struct, frozen=True):
     killed: tuple[bool, bool]
     """Whether a case that names a requirement of the mutant failed: in succession, and concurrently."""
     period: int = 0
-    """The beacon period in ms of the node on a virtual Ethernet; 0: in virtual time."""
+    """The beacon period in ms of the node on a virtual Ethernet, for concurrent cases; 0: in virtual time."""
     our_node: bool = False
     """Whether the comparison is that of the reference node, without a mutant."""
 
@@ -109,7 +109,8 @@ def compare(
 
     With a mutant, the cases that name one of its requirements are executed, and ``companions`` others, drawn with
     ``seed``. Without a mutant, all cases of ``suite`` are executed against the reference node. ``width`` is the number
-    of concurrent cases. ``period``: see :class:`Comparison`.
+    of concurrent cases. ``period``: see :class:`Comparison`. Cases in succession are always executed in virtual time,
+    as in the campaign of mutants: over a link they would take minutes for each mutant.
     """
     rng = random.Random(f"{seed} {mutant.id if mutant else ''}")  # noqa: S311 - a draw of cases, no secret
     chosen = list(suite)
@@ -118,7 +119,7 @@ def compare(
         others = [case.id for case in suite if case.id not in named and case.id != SANITY]
         drawn = named | set(rng.sample(others, min(companions, len(others))))
         chosen = [case for case in suite if case.id in drawn]
-    with _suite(mutant, profile, period) as suite_alone:
+    with _suite(mutant, profile, 0) as suite_alone:
         alone = _verdicts(suite_alone.run(chosen))
     with _suite(mutant, profile, period) as suite_beside:
         beside = _verdicts(suite_beside.run_side_by_side(chosen, width))
@@ -157,8 +158,8 @@ def compare_all(
 
     ``jobs`` is the number of processes, by default one for each processor. ``on_start`` is called with the number of
     comparisons, and ``on_result`` with each comparison when it is complete. ``periods``: beacon periods in ms at which
-    nodes on a virtual Ethernet are compared instead of nodes in virtual time; then the reference node only on
-    ``profiles``.
+    concurrent cases are executed against nodes on a virtual Ethernet instead of in virtual time; then the reference node
+    only on ``profiles``.
     """
     tasks = [("", name, period) for name in profiles for period in periods]
     tasks += [(each.id, each.profile, period) for each in mutants for period in periods]

@@ -29,7 +29,8 @@ from .common import (
 @seed_option
 @click.option(
     "--period", "periods", type=click.IntRange(min=1), multiple=True, metavar="MS",
-    help="Start the nodes on a virtual Ethernet with this beacon period, instead of virtual time; can be repeated.",
+    help="Execute concurrent cases against nodes on a virtual Ethernet with this beacon period, instead of virtual "
+    "time; can be repeated.",
 )  # fmt: skip
 @jobs_option
 @report_option
