@@ -158,8 +158,8 @@ def compare_all(
 
     ``jobs`` is the number of processes, by default one for each processor. ``on_start`` is called with the number of
     comparisons, and ``on_result`` with each comparison when it is complete. ``periods``: beacon periods in ms at which
-    concurrent cases are executed against nodes on a virtual Ethernet instead of in virtual time; then the reference node
-    only on ``profiles``.
+    concurrent cases are executed against nodes on a virtual Ethernet instead of in virtual time; then the reference
+    node only on ``profiles``.
     """
     tasks = [("", name, period) for name in profiles for period in periods]
     tasks += [(each.id, each.profile, period) for each in mutants for period in periods]
