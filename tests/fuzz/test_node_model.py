@@ -736,6 +736,12 @@ def test_a_fault_is_named(fault: type, steps: tuple[Step, ...], requirement: str
     assert requirement in judged(*steps, make=maker(node_with(fault)))
 
 
+@pytest.mark.req("BP-PTI-02")
+def test_an_announced_slot_without_a_payload_has_no_beacon() -> None:
+    pauses = (submitting(1), Wait(4)) * 8
+    assert judged(registering(3), *pauses, Wait(8), submitting(1), Wait(16)) == ()
+
+
 @pytest.mark.req("BP-RX-12", "BP-RX-09")
 @pytest.mark.parametrize("reading", [{}, {"X02": "frame-size"}, {"X48": "discard-beacon"}], ids=str)
 @pytest.mark.parametrize("trait", ENDS, ids=str)

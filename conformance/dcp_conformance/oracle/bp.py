@@ -138,6 +138,8 @@ class BPModel:
         self._pace_from = -(1 << 62)
         self._lacking = -(1 << 62)
         """Last time at which there may have been no payload for a beacon, ns."""
+        self._previous = -(1 << 62)
+        """Time of the last beacon, ns."""
         self._foretold: int | None = None
         """Time of the next beacon as the last notification states it, ns of the tester; None if unknown."""
         self._early: list[int] = []
@@ -467,6 +469,7 @@ class BPModel:
             yield from self._sent(client, octets, time, first=taken[prot_id] == 1)
         if not any(each.mode is _Q.REPEAT and each.prot_id in taken for each in self.clients.values()):
             self._lacking = time
+        self._previous = time
         yield from self._pace(time)
         yield from self._starving(taken, size, time)
 
@@ -479,8 +482,8 @@ class BPModel:
         off = self._interval // 2 + self.timing.clock
         if len(self._early) < _FORETOLD or -off <= min(self._early) <= off:
             return
-        # A slot without a payload has no beacon.
-        always = time - self._lacking > (_FORETOLD + 1) * self._interval
+        # A slot without a payload has no beacon. After a beacon without a repeated payload there may be such slots.
+        always = self._previous - self._lacking > _FORETOLD * self._interval
         if min(self._early) > off or (always and max(self._early) < -off):
             expected = f"the time of the next beacon as nextBeaconGenerationEpoch, within {off / MS:g} ms"
             yield Finding(("BP-PTI-02", "BP-PAR-02"), expected, f"times that differ by {self._early[-1] / MS:g} ms")
