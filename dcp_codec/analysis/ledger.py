@@ -55,10 +55,11 @@ class Statement(msgspec.Struct, frozen=True, gc=False):
     """Sequence number of the variable in the record; -1 if it has none."""
 
 
-News = tuple[Statement, Statement | None]
-"""A record other than a summary that repeats the sequence number which the node stated last, and the node's previous
-create, update or summary of the variable: None if there is none, if beacons of the node are missing since then, or if
-the node has deleted the variable since then."""
+News = tuple[Statement, Statement | None, Stamp | None]
+"""A record other than a summary that repeats the sequence number which the node stated last; the node's previous create
+or update of the variable, or first summary with a number: None if there is none, if beacons of the node are missing
+since then, or if the node has deleted the variable since then; and the last summary that has repeated its number, see
+:func:`latest`."""
 
 Part = tuple[ICType, Sequence[Any], list[int], list[int], dict[int, int]]
 """The type and the records of a container, their variable identifiers in the same order, their sequence numbers (-1 for
@@ -100,6 +101,14 @@ def statement(kind: ICType, record: Any, frame: int, time: int, sender: bytes) -
         return Statement(kind, record, frame, time, sender, record.spec.var_id, record.upd.seqno)
     number = -1 if kind is DELETE or kind is ASK_CREATE else record.seqno
     return Statement(kind, record, frame, time, sender, record.var_id, number)
+
+
+def latest(before: Statement, again: Stamp | None) -> Statement:
+    """Return the last record before one of the news: the last summary that has repeated ``before``, if any."""
+    if again is None:
+        return before
+    summary = VarSumm(before.var_id, before.number)
+    return Statement(SUMMARY, summary, *again, before.sender, before.var_id, before.number)
 
 
 class _Voice:
@@ -202,9 +211,6 @@ class Ledger:
         kind, var_id = each.kind, each.var_id
         before = voice.last.get(var_id)
         again = voice.again.get(var_id)
-        if before is not None and again is not None:
-            number = before.number
-            before = Statement(SUMMARY, VarSumm(var_id, number), *again, each.sender, var_id, number)
         number, created = each.number, None
         entry = voice.entries.get(var_id)
         if kind is UPDATE and entry is not None and entry.number == number and not voice.odd:
@@ -227,7 +233,7 @@ class Ledger:
         elif kind is DELETE and before is not None:
             del voice.last[var_id], voice.numbers[var_id]
             voice.again.pop(var_id, None)
-        return each, before
+        return each, before, again
 
     def follow(
         self, frame: int, time: int, node: bytes, kind: ICType, var_id: int, number: int, creation: Creation | None

@@ -215,7 +215,7 @@ class Context:
         if seen.parts:
             sender = self.senders.get(seen.sender)
             if sender is None:
-                seen.news = [(each, None) for each in seen.statements]
+                seen.news = [(each, None, None) for each in seen.statements]
             else:
                 keeper = self.ledger if self.numbers is None else self.numbers
                 seen.news, seen.again = keeper.feed_parts(
@@ -223,7 +223,7 @@ class Context:
                 )
                 if keeper is self.numbers:
                     return
-            for each, before in seen.news:
+            for each, before, _ in seen.news:
                 # A later update or summary of a known variable has no effect on its lifetime.
                 if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
                     self.lives.feed(each)

@@ -38,7 +38,7 @@ class Numbers:
                 if kind is SUMMARY and numbers.get(var_id) == stated[index]:
                     count += 1
                     continue
-                news.append((statement(kind, records[index], frame, time, node), None))
+                news.append((statement(kind, records[index], frame, time, node), None, None))
                 if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                     if var_id in numbers or self._pairs < self._most:
                         numbers[var_id] = stated[index]

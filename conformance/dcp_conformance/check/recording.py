@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import statistics
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import msgspec
@@ -139,21 +139,24 @@ def judges_of(
             for codec, each in zip(codecs, periods, strict=True)
         ]  # fmt: skip
 
-    def place(frame: Frame) -> int:
-        return 0 if versions is None else versions.of(frame)
+    def feeder(judges: Sequence[Judge]) -> Callable[[Frame], None]:
+        if versions is None:
+            return judges[0].feed
+        return lambda frame: judges[versions.of(frame)].feed(frame)
 
     shared = all_rules and processes(path, jobs) > 1
     mine = frozenset(RULES) - WITHOUT_LEDGER if shared else RULES if all_rules else OF_REACTIONS
     judges = judges_for(mine)
     with contextlib.ExitStack() as stack:
         if shared:
-            helper = Helper(path, judges_for(WITHOUT_LEDGER, with_ledger=False), place)
+            helper = Helper(path, judges_for(WITHOUT_LEDGER, with_ledger=False), feeder)
             stack.callback(helper.end)
         try:
             with open_capture(path) as reader:
                 with progress(reader, str(path), show=show_progress) as advance, few_collections():
+                    feed = feeder(judges)
                     for frame in reader:
-                        judges[place(frame)].feed(frame)
+                        feed(frame)
                         advance()
                 notes = [problem.message for problem in reader.problems]
             for judge, share in zip(judges, helper.shares(), strict=True) if shared else ():

@@ -19,6 +19,9 @@ from dcp_codec.common.workers import Worker, WorkerLostError
 
 from .judge import Judge, Share
 
+Feeder = Callable[[Sequence[Judge]], Callable[[Frame], None]]
+"""Returns a function that passes a frame to one of some judges: that of the frame's version."""
+
 #: Size of a file in octets from which a second process saves time.
 _LONG = 2_000_000
 
@@ -36,9 +39,9 @@ def processes(path: Path, jobs: int | None) -> int:
 class Helper:
     """A process that judges a recording by some of the rules."""
 
-    def __init__(self, path: Path, judges: Sequence[Judge], place: Callable[[Frame], int]) -> None:
-        """Start the process. ``place``: returns the index of the judge for each frame, in their order."""
-        self._worker = Worker(multiprocessing.get_context("fork"), _judge, path, judges, place)
+    def __init__(self, path: Path, judges: Sequence[Judge], feeder: Feeder) -> None:
+        """Start the process, which passes each frame to one of the judges."""
+        self._worker = Worker(multiprocessing.get_context("fork"), _judge, path, judges, feeder)
 
     def shares(self) -> list[Share]:
         """Wait for the results of the judges. Raise :class:`WorkerLostError` if the process has ended by itself."""
@@ -53,12 +56,13 @@ class Helper:
         self._worker.end(terminate=True)
 
 
-def _judge(connection: Connection, path: Path, judges: Sequence[Judge], place: Callable[[Frame], int]) -> None:
+def _judge(connection: Connection, path: Path, judges: Sequence[Judge], feeder: Feeder) -> None:
     """Judge the recording, and send the results; this is the main function of the process."""
     try:
         with open_capture(path) as reader, few_collections():
+            feed = feeder(judges)
             for frame in reader:
-                judges[place(frame)].feed(frame)
+                feed(frame)
             connection.send([judge.share() for judge in judges])
     except CaptureError:
         # The other process reports it.

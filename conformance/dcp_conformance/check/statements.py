@@ -15,12 +15,24 @@ from dcp_codec.analysis.ledger import (
     UPDATE,
     Part,
     Statement,
+    latest,
     part_of,
     statement,
 )
 from dcp_conformance.frames.received import ReceivedBeacon
 
-__all__ = ["ASK_CREATE", "ASK_UPDATE", "CREATE", "DELETE", "SUMMARY", "UPDATE", "Part", "Statement", "statement"]
+__all__ = [
+    "ASK_CREATE",
+    "ASK_UPDATE",
+    "CREATE",
+    "DELETE",
+    "SUMMARY",
+    "UPDATE",
+    "Part",
+    "Statement",
+    "latest",
+    "statement",
+]
 
 
 def speaker(heard: ReceivedBeacon) -> bytes:

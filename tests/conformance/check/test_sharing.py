@@ -92,7 +92,7 @@ def test_without_a_ledger_the_news_are_the_same(name: str):
             heard = ReceivedBeacon(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
             seen = Seen(codec, heard, frame.data, framing.start, framing.dst)
             context.feed(seen)
-            of.append(([each for each, _ in seen.news], seen.again))
+            of.append(([each for each, _, _ in seen.news], seen.again))
         assert of[0] == of[1]
         repeated += seen.again
     assert repeated > 100

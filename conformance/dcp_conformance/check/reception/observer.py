@@ -249,7 +249,7 @@ class Observer:
 
     def _settle(self, station: Station, seen: Seen) -> None:
         """Process the records of a node's own beacon as reactions and as new statements."""
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             variable = self.variables.get(var_id) or self._variable(var_id)
             if variable is None:
@@ -421,7 +421,7 @@ class Observer:
     def _decide(self, station: Station, seen: Seen, length: int) -> None:
         """Report the overdue occasions that this beacon of the node excludes."""
         opened_of, now = station.open, station.beacons
-        stated: set[tuple[int, int]] = {(each.var_id, each.kind) for each, _ in seen.news}
+        stated: set[tuple[int, int]] = {(each.var_id, each.kind) for each, _, _ in seen.news}
         for part, _, ids, _, _ in seen.parts:
             if part is not SUMMARY and part is not UPDATE and part is not CREATE:
                 continue
@@ -493,7 +493,7 @@ class Observer:
         begins: list[range | list[int]] | None = None
         total = 0
         # A beacon may have several records of one variable: process all of them if one is new.
-        wanted = {each.var_id for each, _ in seen.news}
+        wanted = {each.var_id for each, _, _ in seen.news}
         wanted |= self._unsettled
         for place, (kind, records, ids, numbers, _) in enumerate(seen.parts):
             if wanted.isdisjoint(ids):
@@ -534,7 +534,10 @@ class Observer:
             if events[-1][0] < cursor:
                 break
             since = events[bisect_left(events, (cursor,)) :]
-            if mine := [each for each in since if each[1] & bit and each[2] & hears]:
+            mine = [each for each in since if each[1] & bit]
+            if hears != -1:
+                mine = [each for each in mine if each[2] & hears]
+            if mine:
                 found.append((mine[0][0], key, mine))
         for _, key, events in sorted(found):
             if (last := self._open(station, *key)) is not None:

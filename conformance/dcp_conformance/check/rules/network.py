@@ -22,6 +22,7 @@ from dcp_conformance.check.statements import (
     SUMMARY,
     UPDATE,
     Statement,
+    latest,
     statement_of,
 )
 from dcp_conformance.model.circular import Circle
@@ -92,7 +93,7 @@ class Backed(Invariant):
             whole = 0
             if unbacked:
                 unbacked.clear()
-        for each, before in seen.news:
+        for each, before, again in seen.news:
             kind, var_id = each.kind, each.var_id
             if kind is CREATE or kind is UPDATE:
                 self._created.add(var_id)
@@ -104,7 +105,7 @@ class Backed(Invariant):
                 if entry is not None and not entry.values:
                     if unbacked is None:
                         unbacked = self._unbacked[seen.sender] = {}
-                    unbacked[var_id] = _Unbacked(entry, before, each)
+                    unbacked[var_id] = _Unbacked(entry, None if before is None else latest(before, again), each)
         summaries = 0
         for kind, records, ids, _, _ in seen.parts:
             if kind is SUMMARY:
@@ -281,7 +282,7 @@ class EndlessRequests(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Count the requests, and the answers of other nodes, until the requesting node holds the variable."""
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             kind = each.kind
             if kind is ASK_CREATE or kind is ASK_UPDATE:
                 key = (seen.sender, each.var_id, kind)

@@ -18,6 +18,7 @@ from dcp_conformance.check.statements import (
     SUMMARY,
     UPDATE,
     Statement,
+    latest,
     statements_in,
 )
 from dcp_conformance.frames.received import ReceivedBeacon
@@ -129,7 +130,7 @@ class Repetitions(Invariant):
             self._records.pop(gone.number, None)
             self._dropped += 1
         life = self.context.senders.life(node)
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
                 spec = each.record.spec
@@ -298,13 +299,13 @@ class Requests(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with the node's previous record of the variable."""
-        for each, before in seen.news:
+        for each, before, again in seen.news:
             if each.kind is ASK_CREATE:
                 self.exercised()
                 self._count(each, seen)
                 if before is not None:
                     text = f"{name(seen.sender)} asks for variable {each.var_id}, which it holds"
-                    self.violated(text, [before, each], once=(seen.sender, each.var_id))
+                    self.violated(text, [latest(before, again), each], once=(seen.sender, each.var_id))
             elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
                 if each.var_id in self._sent:

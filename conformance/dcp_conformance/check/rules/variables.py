@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from dcp_codec.values import VarCreate, VarUpdate, own_values
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, latest
 from dcp_conformance.check.wording import differences, spec_text
 from dcp_conformance.model.circular import Circle
 
@@ -97,7 +97,7 @@ class SequenceForwards(_OfOneNode):
         if self._suspects:
             self.due(seen.time)
         self._of_all += seen.again
-        for each, before in seen.news:
+        for each, before, again in seen.news:
             kind = each.kind
             if kind is DELETE:
                 self.explain(seen.sender, each.var_id)
@@ -113,7 +113,7 @@ class SequenceForwards(_OfOneNode):
                 self._of_all += 1
                 if each.number != before.number and self._circle.older(each.number, before.number):
                     text = f"{name(seen.sender)}, variable {each.var_id}: {each.number} after {before.number}"
-                    self.suspect(before, each, seen, text)
+                    self.suspect(latest(before, again), each, seen, text)
 
     def _another(self, key: tuple[bytes, int], record: VarCreate) -> bool:
         """Whether a create is about another creation than the node's previous one; store it."""
@@ -142,7 +142,7 @@ class Deleted(_OfOneNode):
         """Remember deletes until the node sends a create of the variable."""
         if self._suspects:
             self.due(seen.time)
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             if each.kind is not DELETE and not self._deleted and not self._suspects:
                 continue
             key = (seen.sender, each.var_id)
@@ -216,7 +216,7 @@ class OneValue(_OfAllNodes):
         if self._open:
             self.due(seen.time)
         lives = self.context.lives
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             kind = each.kind
             if kind is not UPDATE and kind is not SUMMARY and kind is not CREATE:
                 continue
@@ -297,7 +297,7 @@ class OneSpec(_OfAllNodes):
         """Compare with the first create of the same creation."""
         if self._open:
             self.due(seen.time)
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             if each.kind is not CREATE:
                 continue
             spec = each.record.spec
@@ -393,7 +393,7 @@ class Recreation(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the creates that producers send themselves."""
-        for each, _ in seen.news:
+        for each, _, _ in seen.news:
             if each.kind is not CREATE or each.record.spec.prod_id != seen.sender:
                 continue
             self._judge(each, seen)
