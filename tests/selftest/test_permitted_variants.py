@@ -169,6 +169,8 @@ def test_whole_records_may_be_listed_in_1_0():
         # So many VarCreates come before the answer that shows that it lives.
         ("V-PAR-payload-120-unknown", "dcp-1.0", ["TC_VD_CMP_BV_04*"]),
         ("V-UT-no-get", "cpp-1.2", ["TC_VD_INI_BV_02", "TC_VD_ROOM_*"]),
+        # The case needs more variables than it has places beside those for probes.
+        ("V-LIM-variables-16", "dcp-1.1", ["TC_VD_ORD_BV_02"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -138,7 +138,8 @@ class Identifiers:
             if number is not None:
                 break
         if number is None:
-            self._no_variables_left("an identifier never used before, for one of the node's own variables")
+            expected = "an identifier never used before, for one of the node's own variables"
+            self._no_variables_left(expected, len(self.created | self.called_unknown) + 1 + self._pool.reserve)
         self.created.add(number)
         return number
 

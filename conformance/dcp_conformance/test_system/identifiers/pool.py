@@ -177,9 +177,14 @@ class IdentifierPool:
         known = {each for each in tuple(self._uses) if not self.is_unknown(each, now)}
         return max(0, self._capacity - len(known.union(without, self.in_use())))
 
+    @property
+    def reserve(self) -> int:
+        """The number of identifiers that are left for the probes of other cases."""
+        return min(self.size, self._capacity or self.size) // _KEPT
+
     def for_own(self, now: int, without: Collection[int] = ()) -> int | None:
         """Return an unknown identifier for a new variable; None if the remaining ones are reserved."""
-        if self.left(now, without) <= min(self.size, self._capacity or self.size) // _KEPT:
+        if self.left(now, without) <= self.reserve:
             return None
         return next(iter(self.unknown(1, now, without)), None)
 
