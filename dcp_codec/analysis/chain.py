@@ -36,7 +36,7 @@ def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hea
         if each.number >= 0:
             states.setdefault((each.var_id, each.number), []).append(place)
     known: dict[tuple[bytes, bytes], bool] = {}
-    """Whether a node may hear another one."""
+    """(listener, speaker) -> False if the listener cannot hear the speaker."""
     for (var_id, _), places in states.items():
         if len(places) < 2:
             continue
@@ -53,7 +53,7 @@ def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hea
                 if place >= here:
                     continue
                 if latest[other.node] != place or other.until < each.time - _RECENT:
-                    # Numbers are used again: this state cannot be the source of a later one either.
+                    # The node had left this state before: it cannot be the source of any later state.
                     del carried[begin]
                     continue
                 pair = node, other.node

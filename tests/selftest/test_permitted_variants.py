@@ -164,12 +164,12 @@ def test_whole_records_may_be_listed_in_1_0():
         ("V-X04-blocks-only", "cpp-1.2", ["TC_BP_TX_BV_0*"]),
         # The record comes while the deletion is still repeated only if the payload before it was taken in time.
         ("V-TIME-polling-200", "dcp-1.1", ["TC_VD_STATE_BO_01*"]),
-        # Of five beacons in a row, it processes the last one a second later.
+        # It receives five beacons at once, and processes the fifth one second later.
         ("V-TIME-polling-200", "dcp-2.0", ["TC_DCP_MODEL_BV_01-search-0[23]"]),
         # So many VarCreates come before the answer that shows that it lives.
         ("V-PAR-payload-120-unknown", "dcp-1.0", ["TC_VD_CMP_BV_04*"]),
         ("V-UT-no-get", "cpp-1.2", ["TC_VD_INI_BV_02", "TC_VD_ROOM_*"]),
-        # The case needs more variables than it has places beside those for probes.
+        # The case needs more variables than the node can hold together with those for probes.
         ("V-LIM-variables-16", "dcp-1.1", ["TC_VD_ORD_BV_02"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -193,7 +193,7 @@ def test_the_suite_passes_permitted_variants(variant: str, profile: str, cases: 
                 Call("RTDB-Update", {"varId": 2, "value": 32}, 6),
             ),
         ),
-        # It sets a maximum for which its payloads have room.
+        # It sets a smaller maximum, so that a record with such a value fits into its payloads.
         (
             "V-PAR-payload-400-get",
             (

@@ -20,7 +20,7 @@ from dcp_codec.common.workers import Worker, WorkerLostError
 from .judge import Judge, Share
 
 Feeder = Callable[[Sequence[Judge]], Callable[[Frame], None]]
-"""Returns a function that passes a frame to one of some judges: that of the frame's version."""
+"""Given the judges, returns the function that passes a frame to the judge of its version."""
 
 #: Size of a file in octets from which a second process saves time.
 _LONG = 2_000_000
@@ -40,7 +40,7 @@ class Helper:
     """A process that judges a recording by some of the rules."""
 
     def __init__(self, path: Path, judges: Sequence[Judge], feeder: Feeder) -> None:
-        """Start the process, which passes each frame to one of the judges."""
+        """Start the process, which passes each frame to the judge of its version."""
         self._worker = Worker(multiprocessing.get_context("fork"), _judge, path, judges, feeder)
 
     def shares(self) -> list[Share]:

@@ -482,7 +482,7 @@ class BPModel:
         off = self._interval // 2 + self.timing.clock
         if len(self._early) < _FORETOLD or -off <= min(self._early) <= off:
             return
-        # A slot without a payload has no beacon. After a beacon without a repeated payload there may be such slots.
+        # A node sends no beacon if it has no payload. That is possible after a beacon without a repeated payload.
         always = self._previous - self._lacking > _FORETOLD * self._interval
         if min(self._early) > off or (always and max(self._early) < -off):
             expected = f"the time of the next beacon as nextBeaconGenerationEpoch, within {off / MS:g} ms"

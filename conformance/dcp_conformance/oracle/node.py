@@ -90,7 +90,7 @@ class NodeModel:
         """creationTime of variables of the node, in ticks, with the times at which they were created."""
         self._number = 0
         self._damaged = False
-        """Whether the last payload for VarDis was damaged."""
+        """True if the last payload that the node received for VarDis cannot be decoded."""
         self._least = -(1 << 62)
 
     def _vardis(self, readings: Mapping[str, str]) -> VardisModel:
@@ -362,7 +362,7 @@ class NodeModel:
         try:
             containers = self.codec.decode_containers(octets)
         except DecodeError:
-            # Damaged from the first octet: it has no effect, and the next payload is processed like any other.
+            # The payload is damaged from its first octet, and must have no effect. The node must process the next one.
             self._damaged = True
             return
         records: list[VardisRecord] = [each for container in containers for each in container.records]

@@ -292,7 +292,7 @@ class Driver:
         if params.get("name") == "VARDISPAR_MAX_PAYLOAD_SIZE":
             params["value"] = max(params["value"], self.model.least_payload)
         elif params.get("name") in ("VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_DESCRIPTION_LENGTH"):
-            # A node may refuse a larger one, or set a smaller one (X39), if its payloads are small.
+            # If such values do not fit into its payloads, a node may refuse the maximum, or set a smaller one (X39).
             params["value"] = min(params["value"], self.model.bounded(params["name"], params["value"]))
         for name, wide in (("name", False), ("descr", params.get(FILL) == "ones")):
             if isinstance(params.get(name), int):

@@ -144,11 +144,11 @@ class BenchExecutor:
         return self._bench.call(method, **params)
 
     def send(self, octets: bytes, source: bytes, blocks: int) -> None:
-        """Send a beacon, and wait until an implementation that processes one at a time has no other one to process."""
+        """Send a beacon. Wait until it is processed if the implementation processes one beacon at a time."""
         bench = self._bench
         bench.transmission.send(octets, source, blocks)
         if (busy := bench.sut.busy_until - bench.now()) > 0:
-            # The time limits of the model are for one frame. This implementation processes them one at a time.
+            # The time limits of the model hold only while no other beacon waits to be processed.
             bench.waiting.wait_ns(busy)
 
     def wait(self, duration: int) -> list[Event]:

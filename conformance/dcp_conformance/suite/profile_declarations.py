@@ -17,7 +17,7 @@ from dcp_conformance.model.case import DECLARED, DENIED, Needs, case
 from dcp_conformance.model.declared import denied_by
 
 if TYPE_CHECKING:
-    # 'check' imports this module, and needs no tester.
+    # 'check' imports this module, and does not need the tester.
     from dcp_conformance.test_system.bench import Bench
 
 

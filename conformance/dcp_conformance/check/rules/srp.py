@@ -344,7 +344,7 @@ class ReportTime(Invariant):
 
 
 def _finite(values: tuple[Any, ...]) -> bool:
-    """Whether all values are finite numbers. May be False if a sum is not, or if a value is not a number."""
+    """Return True only if all values are finite numbers. False decides nothing: their sum may overflow."""
     try:
         return math.isfinite(sum(values))
     except TypeError:
