@@ -32,10 +32,12 @@ def keeps_payloads(bench: Bench) -> bool:
     """Return whether the implementation sends two payloads that were submitted while BP was deactivated.
 
     It is tried once in a run, and again after a failure, which a lost beacon may explain. Other cases judge it
-    (BP-MGT-04).
+    (BP-MGT-04). An implementation that does not survive it, or refuses a payload, is not asked again.
     """
     session = bench.session
     if session.keeps_payloads is None:
+        # Until it is known: the attempt may end the implementation, or this case.
+        session.keeps_payloads = False
         session.keeps_payloads = any(_kept(bench) for _ in range(_ATTEMPTS))
     return session.keeps_payloads
 
@@ -51,7 +53,8 @@ def _kept(bench: Bench) -> bool:
         start, payloads = bench.mark(), (b"first", b"second")
         with bench.services.deactivated("BP"):
             for each in payloads:
-                bench.call("BP-TransmitPayload", protId=prot_id, payload=each.hex())
+                if not bench.call("BP-TransmitPayload", protId=prot_id, payload=each.hex()).ok:
+                    return False
             # An implementation may lose them with time.
             bench.wait(2)
 

@@ -21,10 +21,15 @@ from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.results import Check, Table
 from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services.requirements import (
+    concerns,
+    is_answered,
+    not_reached,
+    violated_by_death,
+)
 from dcp_conformance.test_system.traffic import Event
 
 from .life import Loss
-from .service_requirements import concerns, violated_by_death
 
 #: Requirements to survive any input. A case that names one of them is about survival.
 _SURVIVAL_OF_FRAMES: Final = "BP-RX-16"
@@ -33,6 +38,10 @@ _SURVIVAL: Final = frozenset({"BP-RX-15", _SURVIVAL_OF_FRAMES, _SURVIVAL_OF_PAYL
 
 #: Services that prepare a case, or undo what it has changed.
 _PREPARES: Final = re.compile(r"UT-.*|.*-(MGMT|Get|Set).*|BP-(Register|Deregister).*|RTDB-Delete")
+#: Services that change nothing: one that was answered did not end the implementation.
+_READS: Final = re.compile(r".*-Get.*|BP-(List|Query).*|RTDB-(Describe|Read).*|SRP-NeighbourTable")
+#: Number of beacons after a frame from which on the frame does not count as the cause.
+_OUTLIVED: Final = 5
 
 
 @dataclass(slots=True)
@@ -160,7 +169,8 @@ def _unfulfilled(trial: Trial) -> tuple[str, ...]:
     """Return the requirement of a case that a death after a valid stimulus also violates; empty without one.
 
     It is that of the first reaction that was missing, otherwise the first one that no check has shown, because the
-    implementation owed the reaction. A call that only prepares the case is not its stimulus.
+    implementation owed the reaction. A case that was cut short, because a call did not succeed that it needs, has not
+    reached the step that shows it. A call that only prepares the case is not its stimulus.
     """
     case, stimulus = trial.case, trial.stimulus
     if case.kind is not Kind.VALID or case.robustness or case.needs.link or stimulus is None:
@@ -170,6 +180,8 @@ def _unfulfilled(trial: Trial) -> tuple[str, ...]:
     missing = (check.requirements for check in trial.checks if check.verdict is Verdict.FAIL and not check.shown)
     if owed := next(missing, ()):
         return owed
+    if stimulus.direction == "call" and any(check.verdict is Verdict.INCONCLUSIVE for check in trial.checks):
+        return ()
     shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
     return next(((each,) for each in case.requirements if each not in shown), ())
 
@@ -244,7 +256,8 @@ def survival(trial: Trial) -> tuple[str, ...]:
 
     These are the requirements of the case about survival. Without any, a frame violates the requirement to survive its
     payload, and a service call violates the requirement about the service
-    (:mod:`dcp_conformance.execution.survival.service_requirements`).
+    (:mod:`dcp_conformance.test_system.services.requirements`). A frame after which several beacons were received is not
+    the cause: then no requirement is named.
     """
     case = trial.case
     if case.needs.link:
@@ -258,6 +271,9 @@ def survival(trial: Trial) -> tuple[str, ...]:
     if deadly.direction == "call":
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
         return violated_by_death(case, deadly, events, shown, codec.profile.spec_version)
+    later = events[events.index(deadly) + 1 :]
+    if sum(each.direction == "heard" for each in later) >= _OUTLIVED:
+        return ()
     try:
         envelope, _ = codec.decode_envelope(deadly.frame[deadly.start :])
     except DecodeError:
@@ -284,11 +300,20 @@ def likely_stimulus(case: Case, bench: Bench) -> Event | None:
     In a case about services with valid frames, it is the last call, with two exceptions. First, the call was answered
     before a later frame, and a beacon was received in between or the case only uses the service. Second, the case only
     uses the service, the call was never answered, and a frame was sent between the last sign of life and the call.
-    Otherwise it is a frame that was sent after the last beacon.
+    Otherwise it is a frame that was sent after the last beacon. Nothing that follows the first sign of the loss counts:
+    a call that could not reach the implementation. None if that call and an earlier one can be the cause.
     """
     events = bench.traffic.events
     tidying = set(_tidying(case, events))
-    if (call := _call_before_harmless(case, bench, tidying)) is not None:
+    lost = next((place for place in _unreached(events) if place not in tidying), None)
+    if lost is not None:
+        heard = max((place for place in range(lost) if events[place].direction == "heard"), default=-1)
+        before = [place for place in range(heard + 1, lost) if place not in tidying]
+        if any(events[place].direction == "call" for place in before):
+            return None
+        frames = any(events[place].direction == "sent" for place in before)
+        events = events[: lost + (not frames)]
+    if (call := _call_before_harmless(case, bench, events, tidying)) is not None:
         return call
     if case.needs.ut and case.kind is not Kind.INVALID:
         calls = [place for place, each in enumerate(events) if each.direction == "call" and place not in tidying]
@@ -306,9 +331,19 @@ def likely_stimulus(case: Case, bench: Bench) -> Event | None:
     return recent
 
 
-def _call_before_harmless(case: Case, bench: Bench, tidying: Container[int]) -> Event | None:
+def _unreached(events: Sequence[Event]) -> Iterator[int]:
+    """Yield the places of calls whose answers show that the implementation could not be reached."""
+    call = 0
+    for place, event in enumerate(events):
+        if event.direction == "call":
+            call = place
+        elif event.direction == "answer" and not_reached(event):
+            yield call
+
+
+def _call_before_harmless(case: Case, bench: Bench, events: Sequence[Event], tidying: Container[int]) -> Event | None:
     """Return the last call after the last beacon if all frames after that beacon are of kinds survived before."""
-    events, survived = bench.traffic.events, bench.session.survived
+    survived = bench.session.survived
     if case.kind is Kind.INVALID or case.robustness or case.destructive:
         return None
     last = max((place for place, each in enumerate(events) if each.direction == "heard"), default=-1)
@@ -344,12 +379,20 @@ def _dead_before(case: Case, events: Sequence[Event], place: int) -> bool:
 def _tidying(case: Case, events: Sequence[Event]) -> Iterator[int]:
     """Yield the indices of calls that only prepare, end or undo something, unless the case is about the service.
 
-    An activation is yielded only if it was not answered: it undoes a deactivation that may be the cause.
+    An activation is yielded only if it was not answered: it undoes a deactivation that may be the cause. A query that
+    was answered is yielded if the implementation was changed by an earlier call, whatever the case is about.
     """
+    changed = False
     for place, event in enumerate(events):
         if event.direction != "call":
             continue
-        answered = any(each.direction == "answer" for each in events[place + 1 : place + 2])
+        answered = is_answered(event, events)
+        reads = _READS.fullmatch(event.text) is not None
         undoes = event.text == "BP-DeregisterProtocol" or (event.text.endswith("-MGMT-Activate") and not answered)
-        if event.text.startswith("UT-") or (undoes and not concerns(case, event.text)):
+        if (
+            event.text.startswith("UT-")
+            or (undoes and not concerns(case, event.text))
+            or (reads and answered and changed)
+        ):
             yield place
+        changed = changed or not (reads or event.text.startswith("UT-"))

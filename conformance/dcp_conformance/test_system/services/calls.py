@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
+from dcp_codec.codec import Codec
 from dcp_conformance.errors import ConformanceError, NeverAnsweredError, UpperTesterError
 from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
@@ -19,12 +20,14 @@ from dcp_conformance.upper_tester import Answer, UpperTester
 from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 
 from .changes import Changes
+from .requirements import family, of_effect
 
 
 class RunServices(Protocol):
     """The parts of a run that are informed of each call."""
 
     upper: UpperTester | None
+    codec: Codec
     call_times: deque[int]
 
     @property
@@ -129,14 +132,28 @@ class Services:
     def check_status(self, answer: Answer, statuses: Collection[str], method: str, /, *requirements: str) -> bool:
         """Check that the answer to a service has one of these statuses; an unknown status fails.
 
-        Stops as inconclusive if the upper tester could not ask the implementation.
+        A status that the specification lacks, instead of success, violates the requirement about the service: it tells
+        nothing about the subject of the case. Stops as inconclusive if the upper tester could not ask the
+        implementation.
         """
         expected = f"{method} answers {' or '.join(statuses)}"
         self.require_asked(answer, expected, *requirements)
         other = not any(map(answer.is_status, statuses))
         # An internal error proves nothing: an adapter may send it because the implementation has ended.
         given = answer.code != INTERNAL_ERROR
+        if answer.code is None and not answer.known and any(each.endswith("-STATUS-OK") for each in statuses):
+            requirements = self._about(method, requirements)
         return Matchers(self._verdicts).none(other, expected, *requirements, seen=answer, given=given)
+
+    def _about(self, method: str, requirements: tuple[str, ...]) -> tuple[str, ...]:
+        """Return those of the requirements that are about a service, or else the one about its effect."""
+        prefix, events = family(method), self._traffic.events
+        if not prefix or not requirements:
+            return requirements
+        if own := tuple(each for each in requirements if each.startswith(prefix)):
+            return own
+        call = next(each for each in reversed(events) if each.direction == "call" and each.text == method)
+        return of_effect(call, events, self._run.codec.profile.spec_version) or requirements
 
     def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
         """Stop as inconclusive unless the answer is that of the implementation."""

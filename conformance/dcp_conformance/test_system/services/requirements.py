@@ -1,4 +1,4 @@
-"""The requirement that an implementation violates if it does not survive a service call.
+"""The requirement that an implementation violates if it does not survive a service call, or answers nonsense.
 
 No requirement states survival of a call, but each service has a requirement about its effect and its confirm.
 """
@@ -13,6 +13,7 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Case
 from dcp_conformance.test_system.traffic import Event
+from dcp_conformance.upper_tester.base import NOT_REACHED, Answer
 
 #: Endings of the queueing modes with a buffer for a single payload.
 _BUFFER_MODES: Final = ("ONCE", "REPEAT")
@@ -27,13 +28,15 @@ class _Rules(NamedTuple):
     """The requirement about the effect of a successful call; empty if there is no such requirement."""
     with_queue: str = ""
     """The requirement about the effect for a client with a queue, if it is a separate one."""
+    with_buffer: str = ""
+    """The requirement about the effect for a client with a buffer, if it is a separate one."""
 
 
 _SERVICES: Final[Mapping[str, _Rules]] = {
     "BP-RegisterProtocol": _Rules("BP-REG-", "BP-REG-06"),
     "BP-DeregisterProtocol": _Rules("BP-DRG-", "BP-DRG-02"),
     "BP-ListRegisteredProtocols": _Rules("BP-LST-", "BP-LST-01"),
-    "BP-TransmitPayload": _Rules("BP-TXP-", "BP-TXP-09"),
+    "BP-TransmitPayload": _Rules("BP-TXP-", "BP-TXP-09", with_buffer="BP-TXP-06"),
     "BP-ClearBuffer": _Rules("BP-CLR-", "BP-CLR-03", with_queue="BP-CLR-02"),
     "BP-QueryNumberBufferedPayloads": _Rules("BP-QRY-", "BP-QRY-03", with_queue="BP-QRY-02"),
     "BP-MGMT-Activate": _Rules("BP-MGT-", "BP-MGT-05"),
@@ -67,36 +70,67 @@ def violated_by_death(
 ) -> tuple[str, ...]:
     """Return the requirement that is violated if the implementation is dead after a service call; empty without any.
 
-    It is the first requirement of the case about this service that is not in ``shown``, the requirements with a passed
-    check. If all of them are, it is the last and most specific one, because a pass for lack of a reaction is not
-    evidence if the implementation was dead. If the case is not about the service, it is the requirement about the
+    It is the first mandatory requirement of the case about this service that is not in ``shown``, the requirements with
+    a passed check. If all of them are and the call was answered, it is the last and most specific one, because a pass
+    for lack of a reaction is not evidence if the implementation was dead. Otherwise it is the requirement about the
     effect of the service. ``events`` are those of the case.
+    """
+    own = [each for each in _own(case, call.text) if requirement(each).level != "optional"]
+    if missing := next((each for each in own if each not in shown), ""):
+        return (missing,)
+    return tuple(own[-1:]) if own and is_answered(call, events) else of_effect(call, events, version)
+
+
+def of_effect(call: Event, events: Iterable[Event], version: SpecVersion | str) -> tuple[str, ...]:
+    """Return the requirement about the effect and the confirm of a service; empty if there is none.
+
+    ``events``: those of the case; they show the queueing mode of the client that calls.
     """
     rules = _SERVICES.get(call.text)
     if rules is None:
         return ()
-    if own := _own(case, call.text):
-        return next(((each,) for each in own if each not in shown), own[-1:])
-    usual = rules.with_queue if rules.with_queue and _has_queue(call, events) else rules.usual
+    mode = _mode(call, events)
+    usual = (rules.with_buffer if mode.endswith(_BUFFER_MODES) else rules.with_queue if mode else "") or rules.usual
     return (usual,) if usual and requirement(usual).holds_in(version) else ()
 
 
-def _own(case: Case, service: str) -> tuple[str, ...]:
+def family(service: str) -> str:
+    """Return the prefix of the requirements about a service; empty for a service that the specification lacks."""
     rules = _SERVICES.get(service)
-    return () if rules is None else tuple(each for each in case.requirements if each.startswith(rules.family))
+    return "" if rules is None else rules.family
 
 
-def _has_queue(call: Event, events: Iterable[Event]) -> bool:
-    """Return whether the client of a call was registered with a queueing mode that has a queue."""
-    prot_id = _parameters(call).get("protId")
-    modes = [
-        str(_parameters(each).get("queueingMode", ""))
-        for each in events
-        if each.direction == "call"
-        and each.text == "BP-RegisterProtocol"
-        and _parameters(each).get("protId") == prot_id
-    ]
-    return bool(modes) and not modes[-1].endswith(_BUFFER_MODES)
+def not_reached(answer: Event) -> bool:
+    """Return whether an answer shows that the upper tester could not reach the implementation."""
+    data = answer.data
+    if not isinstance(data, Mapping) or "code" not in data:
+        return False
+    return data["code"] == NOT_REACHED or Answer(code=data["code"], message=data["message"]).unreachable
+
+
+def is_answered(call: Event, events: Iterable[Event]) -> bool:
+    """Return whether the implementation has answered a call of the case; ``events``: those of the case."""
+    found = False
+    for event in events:
+        if found and event.direction in ("call", "answer"):
+            return event.direction == "answer" and not not_reached(event)
+        found = found or event is call
+    return False
+
+
+def _own(case: Case, service: str) -> tuple[str, ...]:
+    prefix = family(service)
+    return tuple(each for each in case.requirements if prefix and each.startswith(prefix))
+
+
+def _mode(call: Event, events: Iterable[Event]) -> str:
+    """Return the queueing mode with which the client of a call was registered last; empty if it was not."""
+    prot_id, mode = _parameters(call).get("protId"), ""
+    for each in events:
+        registers = each.direction == "call" and each.text == "BP-RegisterProtocol"
+        if registers and _parameters(each).get("protId") == prot_id:
+            mode = str(_parameters(each).get("queueingMode", ""))
+    return mode
 
 
 def _parameters(call: Event) -> Mapping[str, Any]:
