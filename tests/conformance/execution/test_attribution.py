@@ -495,7 +495,7 @@ _PARAMETERS: dict[str, dict[str, Any]] = {
         ("RTDB-Create", "RTDB-Create", False, "VD-CRE-15", "VD-CRE-14"),
     ],
 )
-def test_what_a_death_violates(calls: str, fatal: str, answers: bool, requirements: str, violated: str):
+def test_a_death_names_the_requirement_that_it_violates(calls: str, fatal: str, answers: bool, requirements: str, violated: str):
     sut = Failing()
     sut.fatal, sut.answers = fatal, answers
 
@@ -531,7 +531,7 @@ def test_a_frame_that_was_outlived_by_several_beacons_is_not_blamed(beacons: int
     ("mode", "violated"), [("BP_QMODE_ONCE", "BP-QRY-03"), ("BP_QMODE_QUEUE_DROPTAIL", "BP-QRY-02")]
 )
 def test_a_status_that_the_specification_lacks_violates_the_requirement_about_the_service(mode: str, violated: str):
-    """A query that answers nonsense tells nothing about what the case asks with it."""
+    """Such an answer tells nothing about the subject of the case."""
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
     upper = sut.upper_tester()
     called = upper.call

@@ -1,4 +1,4 @@
-"""The requirement that an implementation violates if it does not survive a service call, or answers nonsense.
+"""The requirement that an implementation violates if it does not survive a service call, or answers with an unknown status.
 
 No requirement states survival of a call, but each service has a requirement about its effect and its confirm.
 """
