@@ -25,6 +25,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.test_system.services.requirements import unreached
 from dcp_conformance.upper_tester import Checked
 from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 from dcp_conformance.upper_tester.faults import Violation
@@ -433,8 +434,9 @@ class Runner:
                 run_body(trial)
         self._note_hang_up(trial)
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
-        # Silence after the last stimulus leaves a doubt, whatever the verdict.
+        # Silence after the last stimulus, or a call that did not arrive, leaves a doubt, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.steps.silent
+        doubt = doubt or unreached(bench.traffic.events)
         if not self.life.ended() and not self.life.upper_tester_error:
             doubt = not self._clean(trial) or doubt
         doubt = doubt and not trial.used_up

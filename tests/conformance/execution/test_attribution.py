@@ -30,6 +30,7 @@ from dcp_stack.bp.entity import BeaconingProtocol
 
 from ..rig import codec_of, one_case
 
+_CLIENT = {"name": "c", "maxPayloadSize": 8, "queueingMode": "BP_QMODE_ONCE", "allowMultiplePayloads": False}
 WORD = b"\xde\xad\xbe\xef"
 #: Which beacons carry the word, in the order of their cases.
 A, B = b"\x01", b"\x02"
@@ -431,8 +432,9 @@ def test_a_service_that_kills_fails_its_own_requirement(calls: str, requirements
 
     def body(bench: Bench) -> None:
         bench.verdicts.check(True, "something else", "", "VD-RX-03", "BP-CLR-03")
+        queue = {**_CLIENT, "queueingMode": "BP_QMODE_QUEUE_DROPTAIL", "maxEntries": 2}
         for method in calls.split():
-            bench.call(method, protId=300, queueingMode="BP_QMODE_QUEUE_DROPTAIL")
+            bench.call(method, protId=300, **(queue if method == "BP-RegisterProtocol" else {}))
         sut.died = "RuntimeError: a service"
 
     case = case_of("TC_DCP_X_BV_05", body, *requirements.split())
@@ -470,7 +472,6 @@ class Failing(InProcess):
         return upper
 
 
-_CLIENT = {"name": "c", "maxPayloadSize": 8, "queueingMode": "BP_QMODE_ONCE", "allowMultiplePayloads": False}
 _PARAMETERS: dict[str, dict[str, Any]] = {
     "BP-RegisterProtocol": {"protId": 300, "maxEntries": 0, **_CLIENT},
     "BP-TransmitPayload": {"protId": 300, "payload": "01"},
@@ -495,7 +496,9 @@ _PARAMETERS: dict[str, dict[str, Any]] = {
         ("RTDB-Create", "RTDB-Create", False, "VD-CRE-15", "VD-CRE-14"),
     ],
 )
-def test_a_death_names_the_requirement_that_it_violates(calls: str, fatal: str, answers: bool, requirements: str, violated: str):
+def test_a_death_names_the_requirement_that_it_violates(
+    calls: str, fatal: str, answers: bool, requirements: str, violated: str
+):
     sut = Failing()
     sut.fatal, sut.answers = fatal, answers
 
@@ -551,6 +554,11 @@ def test_a_status_that_the_specification_lacks_violates_the_requirement_about_th
     bench.expect_status("BP-STATUS-OK", "BP-QueryNumberBufferedPayloads", "BP-REG-06", "BP-DRG-05", protId=300)
     (check,) = bench.verdicts.checks
     assert (check.verdict, check.requirements) == (Verdict.FAIL, (violated,))
+    # A registration that was refused changes nothing.
+    other = {"BP_QMODE_ONCE": "BP_QMODE_QUEUE_DROPTAIL", "BP_QMODE_QUEUE_DROPTAIL": "BP_QMODE_ONCE"}[mode]
+    assert not bench.call("BP-RegisterProtocol", protId=300, **{**registration, "queueingMode": other}).ok
+    bench.expect_status("BP-STATUS-OK", "BP-QueryNumberBufferedPayloads", "BP-REG-06", "BP-DRG-05", protId=300)
+    assert bench.verdicts.checks[-1].requirements == (violated,)
     bench.expect_status("BP-STATUS-OK", "BP-QueryNumberBufferedPayloads", "BP-QRY-01", "BP-DRG-05", protId=300)
     assert bench.verdicts.checks[-1].requirements == ("BP-QRY-01",)
 

@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 from dcp_conformance.errors import LowerTesterError, NoAnswerError, UpperTesterError
@@ -23,9 +23,10 @@ from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, Case, all_cases
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.control import Control
 from dcp_conformance.upper_tester import Answer
+from dcp_conformance.upper_tester.base import NOT_REACHED
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.runner import Suite, cases
 from dcp_selftest.side_by_side import compare
@@ -93,6 +94,20 @@ def test_cases_that_do_not_pass_concurrently_are_repeated_alone() -> None:
     result = next(each for each in found.results if each.id == "TC_SRP_NT_BV_03")
     assert result.verdict is Verdict.INFO
     assert not result.side_by_side
+
+
+def test_a_case_with_a_call_that_did_not_arrive_is_repeated_alone(monkeypatch) -> None:
+    """The implementation may have ended, although the case passes: it only asks which values are accepted."""
+    called = VirtualUpperTester.call
+
+    def call(self: VirtualUpperTester, method: str, params: dict[str, Any]) -> Answer:
+        if method == "BP-RegisterProtocol" and params["maxEntries"] > 200:
+            return Answer(code=NOT_REACHED, message="cannot connect")
+        return called(self, method, params)
+
+    monkeypatch.setattr(VirtualUpperTester, "call", call)
+    found = run(WIDTH, "TC_BP_REG_BV_05", "TC_VD_STATE_BV_03-*")
+    assert found.repeated_alone.keys() == {"TC_BP_REG_BV_05"}
 
 
 @pytest.mark.part("suite")

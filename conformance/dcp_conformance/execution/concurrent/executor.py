@@ -20,6 +20,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services.requirements import unreached
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
@@ -423,6 +424,7 @@ class SideBySide:
             trial.verdict is Verdict.PASS
             and not trial.upper_tester_error
             and not trial.bench.restoration.restore_failure
+            and not unreached(trial.bench.traffic.events)
         ):
             self._doubts = 0
             self._calm += 1

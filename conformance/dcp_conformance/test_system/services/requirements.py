@@ -1,4 +1,4 @@
-"""The requirement that an implementation violates if it does not survive a service call, or answers with an unknown status.
+"""The requirement that is violated by a service that the implementation does not survive, or whose status is unknown.
 
 No requirement states survival of a call, but each service has a requirement about its effect and its confirm.
 """
@@ -108,6 +108,11 @@ def not_reached(answer: Event) -> bool:
     return data["code"] == NOT_REACHED or Answer(code=data["code"], message=data["message"]).unreachable
 
 
+def unreached(events: Iterable[Event]) -> bool:
+    """Return whether a call of the case could not reach the implementation; ``events``: those of the case."""
+    return any(each.direction == "answer" and not_reached(each) for each in events)
+
+
 def is_answered(call: Event, events: Iterable[Event]) -> bool:
     """Return whether the implementation has answered a call of the case; ``events``: those of the case."""
     found = False
@@ -125,12 +130,18 @@ def _own(case: Case, service: str) -> tuple[str, ...]:
 
 def _mode(call: Event, events: Iterable[Event]) -> str:
     """Return the queueing mode with which the client of a call was registered last; empty if it was not."""
-    prot_id, mode = _parameters(call).get("protId"), ""
+    prot_id, asked, mode = _parameters(call).get("protId"), "", ""
     for each in events:
-        registers = each.direction == "call" and each.text == "BP-RegisterProtocol"
-        if registers and _parameters(each).get("protId") == prot_id:
-            mode = str(_parameters(each).get("queueingMode", ""))
+        if each.direction == "call" and each.text == "BP-RegisterProtocol":
+            asked = str(_parameters(each).get("queueingMode", "")) if _parameters(each).get("protId") == prot_id else ""
+        elif each.direction == "answer":
+            mode, asked = asked if asked and _succeeded(each) else mode, ""
     return mode
+
+
+def _succeeded(answer: Event) -> bool:
+    status = answer.data.get("status") if isinstance(answer.data, Mapping) else None
+    return isinstance(status, str) and Answer(status=status).ok
 
 
 def _parameters(call: Event) -> Mapping[str, Any]:
