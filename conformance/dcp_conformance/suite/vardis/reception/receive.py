@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, check_stored, modulus, stepped, teach_variables, traces
@@ -261,6 +262,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
 )
 def summary_of_update(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
+    _require_both(bench, peer, reverse)
     var_id = teach_variable(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
     came = bench.until_instruction(ICType.UPDATES, var_id)
@@ -269,28 +271,30 @@ def summary_of_update(bench: Bench, reverse: bool) -> None:
     _not_requested(bench, var_id, since, (_RU,))
 
 
-def _require_both(bench: Bench, peer: Peer, reverse: bool) -> None:
-    """Stop as inconclusive unless both containers of a payload with a VarUpdate and a summary are processed.
+def _require_all(bench: Bench, peer: Peer, reverse: bool, *stimuli: tuple[VardisRecord, ICType]) -> None:
+    """Stop as inconclusive unless all containers of a payload with these records are processed.
 
-    If an implementation loses one of them (VD-RX-04), their order cannot be tested.
+    ``stimuli``: records of different variables, each with the type of the reaction to it. If an implementation loses
+    one of the containers (VD-RX-04), their order cannot be tested.
     """
-    updated, unknown = teach_variable(bench, peer), bench.unknown_id()
-    since = _send(bench, peer, (peer.update(updated, 1, b"newer"), peer.summary(unknown, 2)), reverse)
-    bench.until(
-        lambda _: bench.instructions(_RC, unknown, since) and bench.instructions(ICType.UPDATES, updated, since)
-    )
-    lost = [
-        name
-        for name, found in (
-            ("the VarUpdate", bench.instructions(ICType.UPDATES, updated, since)),
-            ("the summary", bench.instructions(_RC, unknown, since)),
-        )
-        if not found
-    ]
-    if lost:
-        bench.inconclusive(
-            "both containers of such a payload are processed, which this case needs", f"{lost[0]} is lost"
-        )
+    since = _send(bench, peer, tuple(record for record, _ in stimuli), reverse)
+
+    def lost() -> list[str]:
+        return [
+            f"the record of {record.IC_TYPE.label} is lost"
+            for record, reaction in stimuli
+            if record.IC_TYPE is not None and not bench.instructions(reaction, var_id_of(record), since)
+        ]
+
+    bench.until(lambda _: not lost())
+    if missing := lost():
+        bench.inconclusive("all containers of such a payload are processed, which this case needs", missing[0])
+
+
+def _require_both(bench: Bench, peer: Peer, reverse: bool) -> None:
+    """Stop as inconclusive unless both containers of a payload with a VarUpdate and a summary are processed."""
+    update = peer.update(teach_variable(bench, peer), 1, b"newer"), ICType.UPDATES
+    _require_all(bench, peer, reverse, update, (peer.summary(bench.unknown_id(), 2), _RC))
 
 
 @case(
@@ -322,7 +326,14 @@ def update_before_summary(bench: Bench, reverse: bool) -> None:
     variants=_ORDERS,
 )
 def create_before_requests(bench: Bench, reverse: bool) -> None:
-    peer, var_id = bench.peer(), bench.var_id()
+    peer, (known, asked) = bench.peer(), bench.identifiers.var_ids(2)
+    teach_variables(bench, peer, [peer.create(each, seqno=5) for each in (known, asked)])
+    _require_all(
+        bench, peer, reverse, (peer.create(bench.var_id()), ICType.CREATE_VARIABLES),
+        (peer.summary(bench.unknown_id(), 0), _RC), (peer.request_create(known), ICType.CREATE_VARIABLES),
+        (peer.request_update(asked, 4), ICType.UPDATES),
+    )  # fmt: skip
+    var_id = bench.var_id()
     records = (
         peer.create(var_id),
         peer.summary(var_id, 0),
