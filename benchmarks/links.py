@@ -22,7 +22,7 @@ from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE,
 from dcp_spec.profile.definition import Link
 
 from dcp_codec.network import sockets
-from dcp_codec.network.live import open_live
+from dcp_codec.network.live import LiveReader
 from dcp_stack.links.ethernet import open_ethernet
 from dcp_stack.links.udp import open_udp
 
@@ -77,7 +77,7 @@ def over_ethernet(results: Results, frames: int) -> None:
         bare.close()
         with contextlib.closing(open_ethernet(SUT_INTERFACE, 0x4953)) as link:
             results.add("ethernet", frames, lambda: out.send(frame), lambda count: drained(link.receive, count))
-        with open_live(SUT_INTERFACE, ETHERNET) as reader:
+        with LiveReader(SUT_INTERFACE, ETHERNET) as reader:
             results.add("live", frames, lambda: out.send(frame), lambda count: drained(lambda: [next(reader)], count))
         with contextlib.closing(open_tester(SUT_INTERFACE, ETHERNET)) as tester:
             until = tester.now() + 3600 * 10**9

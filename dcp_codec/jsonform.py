@@ -12,6 +12,8 @@ import math
 import re
 from typing import Any
 
+import msgspec
+
 from .codec import Codec
 from .errors import EncodeError, Problem
 from .plan.layout import ValueTypes
@@ -91,14 +93,9 @@ def node_id_octets(text: str, representation: str) -> bytes:
 
 def problem_json(problem: Problem) -> dict[str, Any]:
     """Return the JSON object of a problem: reason, path, offset, needed, available, requirement."""
-    return {
-        "reason": problem.reason,
-        "path": problem.path,
-        "offset": problem.offset,
-        "needed": problem.needed,
-        "available": problem.available,
-        "requirement": problem.requirement,
-    }
+    found = msgspec.structs.asdict(problem)
+    del found["severity"]
+    return found
 
 
 def beacon_json(codec: Codec, root: Field) -> dict[str, Any]:

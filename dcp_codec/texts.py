@@ -55,7 +55,7 @@ def value_text(profile: Profile, field: Field) -> str:
     """Return the value of a field as text; empty for a field that only has parts."""
     layout, value = field.layout, field.value
     if isinstance(layout, _LISTS):
-        return _summary(field)
+        return "(none)" if isinstance(layout, Many) and not field.children else ""
     if value is None:
         return "(cut off)" if isinstance(layout, _ANNOUNCED) else ""
     if isinstance(layout, Text) and layout.human and layout.role != "node-id":
@@ -76,12 +76,6 @@ def value_text(profile: Profile, field: Field) -> str:
         return f"0x{value:0{2 * layout.size}x}"
     text = f"{value:.15g}" if isinstance(value, float) else str(value)
     return f"{text} {layout.unit}" if layout.unit and layout.unit != "octets" else text
-
-
-def _summary(field: Field) -> str:
-    if isinstance(field.layout, Many) and not field.children:
-        return "(none)"
-    return ""
 
 
 def payload_name(payload: Field) -> str:

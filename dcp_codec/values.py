@@ -198,21 +198,6 @@ class Beacon(msgspec.Struct, frozen=True, gc=False):
     payloads: tuple[Payload, ...]
 
 
+_RECORDS: tuple[type[msgspec.Struct], ...] = (Beacon, BPHeader, Payload, ExtendedSafetyData, Container, VarSpec)
 #: The value class of each record type of the schema; each profile has its own class for SafetyData.
-VALUE_CLASSES: dict[str, type[msgspec.Struct]] = {
-    cls.__name__: cls
-    for cls in (
-        Beacon,
-        BPHeader,
-        Payload,
-        ExtendedSafetyData,
-        Container,
-        VarSpec,
-        VarUpdate,
-        VarCreate,
-        VarDelete,
-        VarSumm,
-        VarReqUpdate,
-        VarReqCreate,
-    )
-}
+VALUE_CLASSES = {cls.__name__: cls for cls in (*_RECORDS, *RECORD_CLASSES.values())}

@@ -9,12 +9,29 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from types import TracebackType
+from typing import BinaryIO, Self
 
 from .frame import CaptureError
 
 #: Octets requested at once. A pipe returns what is available, so this causes no delay.
 READ_SIZE = 1024 * 1024
+
+
+class Closing:
+    """Base of context managers that are closed at the end of the block."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release everything. May be called again."""
+        raise NotImplementedError
 
 
 class ByteSource:
@@ -114,7 +131,7 @@ class ByteSource:
         try:
             piece = self._read(READ_SIZE)
         except (OSError, EOFError, ValueError, zlib.error) as error:
-            self.failure = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            self.failure = explain(error)
             return b""
         if piece is None:
             self.failure = "it is non-blocking and had nothing to read"

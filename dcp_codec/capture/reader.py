@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
-from types import TracebackType
-from typing import Self
 
-from .bytesource import ByteSource
+from .bytesource import ByteSource, Closing
 from .frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
 
 #: Function that describes a number of equal problems in one sentence.
@@ -49,7 +47,7 @@ class ProblemLog:
                 self.found[index] = CaptureProblem(old.reason, self._describe[key](times), old.offset, frame=old.frame)
 
 
-class CaptureReader:
+class CaptureReader(Closing):
     """Frames of one capture, in file order; an iterator and a context manager.
 
     Iteration never raises: it ends where a file is cut off or damaged, and `problems` describes the damage.
@@ -86,19 +84,11 @@ class CaptureReader:
             reason, what = "read-error", f"reading stopped at octet {offset} ({self._source.failure})"
         else:
             what = f"{what} at octet {offset} needs {needed} octets, and {available} are left"
-        self._log.add(
-            reason,
-            f"{what}; {rest or self._so_far()}.",
-            offset,
-            needed=needed,
-            available=available,
-            frame=self._number,
-        )
+        self._note(reason, f"{what}; {rest or self._so_far()}.", offset, needed=needed, available=available)
 
     def _clamped(self, time_ns: int, offset: int) -> int:
         """Return the time nearest to `time_ns` that a `Frame` can have."""
-        self._log.count(
-            "time-out-of-range",
+        self._tally(
             "time-out-of-range",
             lambda times: (
                 f"{counted(times, 'time')}, the first at octet {offset}, outside of 1970 to 2262: the "
@@ -112,8 +102,19 @@ class CaptureReader:
     def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
         """Note damage after which the next record cannot be found; return False for the end."""
         message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
-        self._log.add(reason, message, offset, frame=self._number)
+        self._note(reason, message, offset)
         return False
+
+    def _note(self, reason: Reason, message: str, offset: int, *, needed: int = 0, available: int = 0) -> None:
+        """Note a problem that occurs once."""
+        self._log.add(reason, message, offset, needed=needed, available=available, frame=self._number)
+
+    def _tally(
+        self, reason: Reason, describe: Describe, offset: int, frame: int | None = None, of: Hashable = None
+    ) -> None:
+        """Count a problem after ``frame``, by default the last one; those with the same ``of`` are reported as one."""
+        key = reason if of is None else (reason, of)
+        self._log.count(key, reason, describe, offset, self._number if frame is None else frame)
 
     def _so_far(self) -> str:
         return f"{counted(self._frames_read, 'frame')} before it could be read"
@@ -177,14 +178,6 @@ class CaptureReader:
 
     def __next__(self) -> Frame:
         return next(self._frames)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the iteration and close the file. May be called again."""

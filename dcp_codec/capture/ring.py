@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from .bytesource import Closing
 from .compressed import without_compression
 from .frame import Frame
 from .opening import create_capture
@@ -16,7 +15,7 @@ from .writer import CaptureWriter, Metadata
 _FLUSH_NS = 1_000_000_000
 
 
-class RingWriter:
+class RingWriter(Closing):
     """Writes frames to files of limited size or time; a context manager.
 
     ``max_octets`` and ``max_ns`` end a file (``None``: never); ``keep`` is the number of files that are kept (None:
@@ -85,11 +84,3 @@ class RingWriter:
         """Finish the last file. May be called again."""
         if self._writer is not None:
             self._writer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

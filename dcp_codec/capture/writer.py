@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import msgspec
 
 from .bytesink import ByteSink
+from .bytesource import Closing
 from .frame import MAX_FRAME_LENGTH, MAX_TIME_NS, CaptureError, Frame
 
 #: Named records of names and values.
@@ -46,7 +47,7 @@ class MessageSource(Protocol):
         ...
 
 
-class CaptureWriter:
+class CaptureWriter(Closing):
     """Writes frames to one capture; a context manager.
 
     `close` finishes the file; leaving the with-block calls it, also after an exception. pcap and pcapng files grow by
@@ -137,9 +138,6 @@ class CaptureWriter:
                 self._finish()
         finally:
             self._sink.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

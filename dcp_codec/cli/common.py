@@ -8,8 +8,9 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 from dcp_spec.profile.definition import Link
@@ -17,7 +18,7 @@ from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.capture import FORMATS, CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, UNUSABLE, ExpectedError, F, expected
 from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import FrameDissector, with_ether_type
 
@@ -41,17 +42,14 @@ def ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) 
         raise click.BadParameter(str(error)) from None
 
 
-F = TypeVar("F", bound=Callable[..., Any])
+def ether_type_option(help: str = ETHER_TYPE_HELP) -> Callable[[F], F]:
+    """Return the option ``--ether-type``."""
+    return click.option("--ether-type", callback=ether_type, metavar="HEX", help=help)
 
 
 def profile_options(function: F) -> F:
     """Add the options ``--profile`` and ``--ether-type``."""
-    function = click.option(
-        "--ether-type",
-        callback=ether_type,
-        metavar="HEX",
-        help=ETHER_TYPE_HELP,
-    )(function)
+    function = ether_type_option()(function)
     return click.option(
         "-p",
         "--profile",
@@ -62,19 +60,6 @@ def profile_options(function: F) -> F:
     )(function)
 
 
-def output_format(*forms: str) -> Callable[[F], F]:
-    """Return the option ``--format`` of the printed output; the first of ``forms`` is the default."""
-    return click.option(
-        "-f",
-        "--format",
-        "form",
-        type=click.Choice(forms),
-        default=forms[0],
-        show_default=True,
-        help="Format of the output.",
-    )
-
-
 def recording_format(text: str = "Format of the output.  [default: by the suffix of --out]") -> Callable[[F], F]:
     """Return the option ``--format`` of a recording that the command writes; ``text`` is its help."""
     return click.option("-f", "--format", "form", type=click.Choice(sorted(FORMATS)), help=text)
@@ -82,16 +67,25 @@ def recording_format(text: str = "Format of the output.  [default: by the suffix
 
 def load_codec(profile: str) -> Codec:
     """Return the codec of a named profile or profile file."""
-    try:
+    with expected(ProfileError):
         return get_codec(profile)
-    except ProfileError as error:
-        raise ExpectedError(str(error)) from None
 
 
 def link_of(codec: Codec, ether_type: int | None) -> Link:
     """Return the EtherType or UDP port of beacons: the profile's, or the EtherType that the user gave."""
     link = codec.profile.link
     return link if ether_type is None else with_ether_type(link, ether_type)
+
+
+def dissector_of(profile: str, ether_type: int | None) -> FrameDissector:
+    """Return the dissector of a named profile or profile file."""
+    codec = load_codec(profile)
+    return FrameDissector(codec, link_of(codec, ether_type))
+
+
+def dissector_of_guess(found: Guess) -> FrameDissector:
+    """Return the dissector of the profile that was guessed."""
+    return FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning)
 
 
 class InputError(ExpectedError):
@@ -114,12 +108,8 @@ def each_file(files: Sequence[str], do: Callable[[str], int]) -> int:
 def open_input(name: str) -> Iterator[CaptureReader]:
     """Open a capture file, or standard input for ``-``."""
     try:
-        if name == "-":
-            with open_capture(sys.stdin.buffer) as reader:
-                yield reader
-        else:
-            with open_capture(Path(name)) as reader:
-                yield reader
+        with open_capture(sys.stdin.buffer if name == "-" else Path(name)) as reader:
+            yield reader
     except CaptureError as error:
         raise InputError(str(error)) from None
 
@@ -138,14 +128,13 @@ def choose(
     profile).
     """
     if profile != "auto":
-        codec = load_codec(profile)
-        return FrameDissector(codec, link_of(codec, ether_type)), frames
+        return dissector_of(profile, ether_type), frames
     from dcp_codec.analysis.guess import guess, sample
 
     first, frames = sample(frames, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
     note_guess(name, found)
-    return FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning), frames
+    return dissector_of_guess(found), frames
 
 
 def report_capture_problems(reader: CaptureReader, name: str) -> int:
@@ -198,21 +187,27 @@ def progress(reader: CaptureReader, name: str, *, show: bool = True) -> Iterator
     if not show or not sys.stderr.isatty() or size is None or size < 4_000_000:
         yield lambda: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(os.path.basename(name), total=size)  # noqa: PTH119 - may be "-"
+    with progress_bar(os.path.basename(name), size) as update:  # noqa: PTH119 - may be "-"
         calls = 0
 
         def advance() -> None:
             nonlocal calls
             calls += 1
             if not calls % 512:
-                bar.update(task, completed=reader.position)
+                update(completed=reader.position)
 
         yield advance
+
+
+@contextmanager
+def progress_bar(name: str, size: int | None) -> Iterator[Callable[..., None]]:
+    """Show a progress bar of octets on stderr; yields the function that updates it, which is that of rich."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        yield partial(bar.update, bar.add_task(name, total=size))
 
 
 def use_colour(choice: str) -> bool:

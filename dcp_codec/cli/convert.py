@@ -10,14 +10,13 @@ from pathlib import Path
 import click
 from dcp_spec.profile.definition import Link
 
-from dcp_codec.analysis.guess import guess, sample
 from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment, open_capture
 from dcp_codec.capture import attachments as list_attachments
 from dcp_codec.capture.bytesink import same_file
-from dcp_codec.codec import Codec, get_codec
-from dcp_codec.common.commandline import LOSSY_HELP, UNUSABLE, ExpectedError
+from dcp_codec.codec import Codec
+from dcp_codec.common.commandline import LOSSY_HELP, UNUSABLE, ExpectedError, choice_option, expected
 
-from .common import interruptible, link_of, load_codec, note, note_guess, profile_options
+from .common import choose, dissector_of, interruptible, note, profile_options, progress_bar
 from .recordings import extras
 
 
@@ -36,25 +35,13 @@ from .recordings import extras
     help="Format of TARGET, by default that of its suffix. ros2 is an MCAP file with ROS 2 messages only: poses, "
     "neighbour tables, variables.",
 )
-@click.option(
-    "--resolution",
-    type=click.Choice(["ns", "us"]),
-    default="ns",
-    show_default=True,
-    help="Resolution of the time stamps in a pcap or pcapng.",
-)
+@choice_option("--resolution", of=["ns", "us"], help="Resolution of the time stamps in a pcap or pcapng.")
 @click.option("--lossy", is_flag=True, help=LOSSY_HELP)
 @click.option(
     "--decoded/--no-decoded", default=True, show_default=True, help="Add channels with decoded messages to an MCAP."
 )
 @click.option("--attach/--no-attach", default=True, show_default=True, help="Attach the original file to an MCAP.")
-@click.option(
-    "--compression",
-    type=click.Choice(["zstd", "lz4", "none"]),
-    default="zstd",
-    show_default=True,
-    help="Compression of an MCAP.",
-)
+@choice_option("--compression", of=["zstd", "lz4", "none"], help="Compression of an MCAP.")
 @click.option(
     "--extract", is_flag=True, help="Write the original file that is attached to SOURCE instead, byte for byte."
 )
@@ -75,7 +62,7 @@ def command(
 
     An MCAP opens in Foxglove: raw frames, decoded messages and positions have separate channels.
     """
-    try:
+    with expected(CaptureError):
         if extract:
             return _extract(source, target)
         if form == "ros2":
@@ -105,8 +92,6 @@ def command(
                 lossy=lossy,
                 progress=advance,
             )
-    except CaptureError as error:
-        raise ExpectedError(str(error)) from None
     for problem in report.problems:
         note(f"{source}: {problem.message}")
     note(f"{target}: {report.frames} frames, {report.source_format} to {report.target_format}")
@@ -137,13 +122,11 @@ def _ros2(source: str, target: str, profile: str, ether_type: int | None) -> int
 
 def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Link]:
     if profile != "auto":
-        codec = load_codec(profile)
-        return codec, link_of(codec, ether_type)
-    with open_capture(Path(source)) as reader:
-        first, _ = sample(reader, ether_type=ether_type)
-    found = guess(first, ether_type=ether_type)
-    note_guess(source, found)
-    return get_codec(found.best.profile.name), found.best.link
+        dissector = dissector_of(profile, ether_type)
+    else:
+        with open_capture(Path(source)) as reader:
+            dissector, _ = choose(profile, ether_type, reader, source)
+    return dissector.codec, dissector.link
 
 
 def _extract(source: str, target: str) -> int:
@@ -169,9 +152,5 @@ def _progress(source: str) -> Iterator[Callable[[int, int | None], object] | Non
     ):
         yield None
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(Path(source).name, total=None)
-        yield lambda done, size: bar.update(task, completed=done, total=size)
+    with progress_bar(Path(source).name, None) as update:
+        yield lambda done, size: update(completed=done, total=size)

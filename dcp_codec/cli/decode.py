@@ -15,8 +15,7 @@ from typing import Any, Protocol
 import click
 
 from dcp_codec.capture import Frame
-from dcp_codec.codec import get_codec
-from dcp_codec.common.commandline import ExpectedError, SectionedCommand
+from dcp_codec.common.commandline import ExpectedError, SectionedCommand, choice_option, expected, output_format
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -24,8 +23,9 @@ from .common import (
     MALFORMED,
     Output,
     choose,
+    dissector_of,
+    dissector_of_guess,
     each_file,
-    link_of,
     load_codec,
     malformed_note,
     no_beacons_note,
@@ -70,34 +70,16 @@ class _Renderer(Protocol):
     "-i", "--interface", metavar="IF", help="Decode the frames on this Ethernet interface until Ctrl-C (needs scapy)."
 )
 @profile_options
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(["tree", "list", "csv", "jsonl"]),
-    default="tree",
-    show_default=True,
+@output_format(
+    *("tree", "list", "csv", "jsonl"),
     help="Output: a tree of fields, one line per frame, one row per record, or one JSON object per frame.",
 )
 @selection_options
 @click.option("--errors-only", is_flag=True, help="Only malformed beacons.")
 @click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N shown frames.")
 @click.option("--hexdump/--no-hexdump", default=True, show_default=True, help="Show the octets below each tree.")
-@click.option(
-    "--time",
-    "clock",
-    type=click.Choice(["utc", "epoch", "relative"]),
-    default="utc",
-    show_default=True,
-    help="Times in the list.",
-)
-@click.option(
-    "--color",
-    type=click.Choice(["auto", "always", "never"]),
-    default="auto",
-    show_default=True,
-    help="Colour the output; auto: on a terminal.",
-)
+@choice_option("--time", "clock", of=["utc", "epoch", "relative"], help="Times in the list.")
+@choice_option("--color", of=["auto", "always", "never"], help="Colour the output; auto: on a terminal.")
 def command(
     files: tuple[str, ...],
     hex_text: str | None,
@@ -226,12 +208,11 @@ class _Run:
         is_bare = looks_bare(octets, names) if names else looks_bare(octets)
         note("--hex: taken as a " + ("bare beacon" if is_bare else "whole Ethernet frame"))
         if names:
-            codec = load_codec(self.profile)
-            dissector = FrameDissector(codec, link_of(codec, self.ether_type))
+            dissector = dissector_of(self.profile, self.ether_type)
         else:
             found = guess([frame], framed=not is_bare, ether_type=self.ether_type)
             note(f"--hex: profile {found}")
-            dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning)
+            dissector = dissector_of_guess(found)
         result = dissector.dissect_bare(frame) if is_bare else dissector.dissect(frame)
         if isinstance(result, OtherTraffic):
             kind = (
@@ -246,19 +227,14 @@ class _Run:
 
     def live(self, interface: str) -> int:
         """Decode live traffic until interrupted or --count frames were shown."""
-        from dcp_codec.network.live import LiveError, open_live
+        from dcp_codec.network.live import LiveError, LiveReader
 
         if self.options["form"] == "tree" and not sys.stdout.isatty():
             self.output = Output()
-        link = None
-        if self.profile != "auto":
-            codec = load_codec(self.profile)
-            link = link_of(codec, self.ether_type)
+        link = None if self.profile == "auto" else dissector_of(self.profile, self.ether_type).link
         with ExitStack() as stack:
-            try:
-                reader = stack.enter_context(open_live(interface, link))
-            except LiveError as error:
-                raise ExpectedError(str(error)) from None
+            with expected(LiveError):
+                reader = stack.enter_context(LiveReader(interface, link))
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: reader.close())
             note(f"{interface}: listening; Ctrl-C ends")
@@ -275,10 +251,7 @@ class _Run:
 
         self.output = Flushing()
         if self.profile != "auto":
-            codec = load_codec(self.profile)
-            return self.frames(
-                FrameDissector(codec, link_of(codec, self.ether_type)), iter(reader), interface, _nothing
-            )
+            return self.frames(dissector_of(self.profile, self.ether_type), iter(reader), interface, lambda: None)
         # Live traffic cannot be read ahead for long: the first beacons decide, whatever other frames precede them.
         from dcp_codec.analysis.guess import guess
 
@@ -293,9 +266,4 @@ class _Run:
             found = guess(first, ether_type=self.ether_type)
         frames = chain(first, frames)
         note_guess(interface, found)
-        dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning)
-        return self.frames(dissector, frames, interface, _nothing)
-
-
-def _nothing() -> None:
-    """Progress function for a source without an end: does nothing."""
+        return self.frames(dissector_of_guess(found), frames, interface, lambda: None)

@@ -12,12 +12,11 @@ import click
 
 from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, UNUSABLE, ExpectedError, expected
 from dcp_codec.errors import EncodeError
 from dcp_codec.jsonform import beacon_from_json
 
-from .common import MALFORMED, link_of, load_codec, note
-from .common import ether_type as parse_ether_type
+from .common import MALFORMED, ether_type_option, link_of, load_codec, note
 
 _BROADCAST = b"\xff" * 6
 
@@ -29,7 +28,7 @@ _BROADCAST = b"\xff" * 6
 )
 @click.argument("file", default="-", metavar="[FILE|-]")
 @click.option("-p", "--profile", required=True, metavar="NAME|FILE", help=PROFILE_HELP)
-@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help=ETHER_TYPE_HELP)
+@ether_type_option()
 @click.option(
     "-o",
     "--out",
@@ -126,10 +125,7 @@ def _mac(data: dict[str, Any], name: str, default: bytes) -> bytes:
 
 
 def _write(out: str, frames: list[Frame]) -> None:
-    try:
-        with create_capture(Path(out)) as writer:
-            for frame in frames:
-                writer.write(frame)
-    except CaptureError as error:
-        raise ExpectedError(str(error)) from None
+    with expected(CaptureError), create_capture(Path(out)) as writer:
+        for frame in frames:
+            writer.write(frame)
     note(f"{out}: {len(frames)} frames")

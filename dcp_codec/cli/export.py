@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
-from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, writing
 
 from .common import load_codec
 
@@ -69,12 +69,10 @@ def command(kind: str, adapter: bool, profile: str, out: str | None) -> int:
     else:
         files = {Path(out): result if result.endswith("\n") else result + "\n"}
     for path, text in files.items():
-        try:
+        with writing(path):
             if isinstance(result, dict):
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ExpectedError(f"{path}: cannot be written: {error.strerror}") from None
     return 0
 
 

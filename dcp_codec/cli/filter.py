@@ -10,7 +10,7 @@ import click
 
 from dcp_codec.analysis.conditions import field_names
 from dcp_codec.capture import CaptureError, create_capture
-from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
+from dcp_codec.common.commandline import LOSSY_HELP, expected
 from dcp_codec.framing.locate import OtherTraffic
 
 from .common import (
@@ -82,26 +82,24 @@ def command(
         wanted, selected = condition(where, dissector.codec), FrameRange(frames, start, end)
         place = sys.stdout.buffer if target == "-" else Path(target)
         kept = seen = 0
-        try:
-            with (
-                interruptible(target),
-                create_capture(place, format=form, lossy=lossy, whole=True, metadata=reader.metadata) as writer,
-                progress(reader, source) as advance,
-            ):
-                for frame in rest:
-                    advance()
-                    seen += 1
-                    if not selected.includes(frame):
+        with (
+            expected(CaptureError),
+            interruptible(target),
+            create_capture(place, format=form, lossy=lossy, whole=True, metadata=reader.metadata) as writer,
+            progress(reader, source) as advance,
+        ):
+            for frame in rest:
+                advance()
+                seen += 1
+                if not selected.includes(frame):
+                    continue
+                found = dissector.dissect(frame) if wanted is not None or not other else None
+                if isinstance(found, OtherTraffic):
+                    if not other:
                         continue
-                    found = dissector.dissect(frame) if wanted is not None or not other else None
-                    if isinstance(found, OtherTraffic):
-                        if not other:
-                            continue
-                    elif wanted is not None and found is not None and not wanted(found):
-                        continue
-                    writer.write(frame)
-                    kept += 1
-        except CaptureError as error:
-            raise ExpectedError(str(error)) from None
+                elif wanted is not None and found is not None and not wanted(found):
+                    continue
+                writer.write(frame)
+                kept += 1
         note(f"{target}: {kept} of {seen} frames")
         return report_capture_problems(reader, source)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Any, TypeVar
 
 import click
 import msgspec
@@ -13,8 +11,7 @@ import msgspec
 from dcp_codec.analysis.conditions import Where, WhereError
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
-
-F = TypeVar("F", bound=Callable[..., Any])
+from dcp_codec.common.commandline import F
 
 
 class TimeBound(msgspec.Struct, frozen=True):

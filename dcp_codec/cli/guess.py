@@ -13,19 +13,14 @@ from dcp_codec.analysis.guess import SAMPLE, Candidate, Guess, guess, sample
 from dcp_codec.analysis.shortfall import Shortfall, shortfalls
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
+from dcp_codec.common.commandline import output_format
 
-from .common import each_file, open_input, output_format, report_capture_problems
-from .common import ether_type as parse_ether_type
+from .common import each_file, ether_type_option, open_input, report_capture_problems
 
 
 @click.command("guess")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option(
-    "--ether-type",
-    callback=parse_ether_type,
-    metavar="HEX",
-    help="EtherType of the beacons, such as 0x4953.  [default: that of each profile]",
-)
+@ether_type_option("EtherType of the beacons, such as 0x4953.  [default: that of each profile]")
 @click.option(
     "-n",
     "--sample",

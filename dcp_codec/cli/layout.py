@@ -8,7 +8,7 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.common.atomic_write import write_whole
-from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError, expected, out_option, writing
 
 from .common import note
 
@@ -19,12 +19,9 @@ from .common import note
     "Exit status: 0 all good, 2 wrong usage or a file that cannot be read.",
 )
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE.json",
-    help="Write the layout to this file; -: standard output.  [default: in the current folder, NAME.foxglove.json]",
+@out_option(
+    "FILE.json",
+    "Write the layout to this file; -: standard output.  [default: in the current folder, NAME.foxglove.json]",
 )
 @click.option("--force", is_flag=True, help=FORCE_HELP)
 def command(file: Path, out: Path | None, force: bool) -> int:
@@ -37,16 +34,12 @@ def command(file: Path, out: Path | None, force: bool) -> int:
     target = out or Path(f"{file.stem}.foxglove.json")
     if str(target) != "-" and target.exists() and not force:
         raise ExpectedError(f"{target}: exists; give --force to replace it")
-    try:
+    with expected(CaptureError):
         text = layout_text(layout_of(file))
-    except CaptureError as error:
-        raise ExpectedError(str(error)) from None
     if str(target) == "-":
         click.echo(text, nl=False)
         return 0
-    try:
+    with writing(target):
         write_whole(target, text.encode())
-    except OSError as error:
-        raise ExpectedError(f"{target}: cannot be written: {error.strerror or error}") from None
     note(f"{target}: import it in Foxglove, where {file.name} is open")
     return 0

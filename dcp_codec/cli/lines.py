@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
+import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_codec.common.spreadsheet import safe_cell
@@ -125,8 +126,7 @@ class CsvRenderer:
 
 
 def _problem_row(problem: Problem) -> dict[str, Any]:
-    names = ("severity", "reason", "path", "offset", "needed", "available", "requirement")
-    return {"kind": "problem", **{name: getattr(problem, name) for name in names}}
+    return {"kind": "problem", **msgspec.structs.asdict(problem)}
 
 
 _encode_json = json.JSONEncoder(separators=(",", ":")).encode

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from itertools import repeat
 from pathlib import Path
 
 import click
 import msgspec
 
-from dcp_codec.capture import CaptureError, Frame, create_capture
-from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
+from dcp_codec.capture import CaptureError, create_capture
+from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError, expected, out_option
 
 from .common import interruptible, note, open_input, recording_format, report_capture_problems
 
@@ -22,14 +22,7 @@ from .common import interruptible, note, open_input, recording_format, report_ca
     "written).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write the merged recording to this file.",
-)
+@out_option("FILE", "Write the merged recording to this file.", required=True)
 @recording_format()
 @click.option("--keep-interfaces", is_flag=True, help="Keep interface numbers.  [default: a new one for each FILE]")
 @click.option("--lossy", is_flag=True, help=LOSSY_HELP)
@@ -44,20 +37,17 @@ def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfa
     status = count = 0
     with ExitStack() as stack:
         readers = [stack.enter_context(open_input(name)) for name in files]
-        streams = [_placed(place, reader) for place, reader in enumerate(readers)]
-        try:
-            with interruptible(out), create_capture(out, format=form, lossy=lossy, whole=True) as writer:
-                for place, frame in heapq.merge(*streams, key=lambda each: (each[1].time_ns, each[0])):
-                    count += 1
-                    interface = frame.interface if keep_interfaces else place
-                    writer.write(msgspec.structs.replace(frame, number=count, interface=interface))
-        except CaptureError as error:
-            raise ExpectedError(str(error)) from None
+        streams = [zip(repeat(place), reader) for place, reader in enumerate(readers)]
+        with (
+            expected(CaptureError),
+            interruptible(out),
+            create_capture(out, format=form, lossy=lossy, whole=True) as writer,
+        ):
+            for place, frame in heapq.merge(*streams, key=lambda each: (each[1].time_ns, each[0])):
+                count += 1
+                interface = frame.interface if keep_interfaces else place
+                writer.write(msgspec.structs.replace(frame, number=count, interface=interface))
         for name, reader in zip(files, readers, strict=True):
             status = max(status, report_capture_problems(reader, name))
     note(f"{out}: {count} frames of {len(files)} recordings")
     return status
-
-
-def _placed(place: int, frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
-    return ((place, frame) for frame in frames)

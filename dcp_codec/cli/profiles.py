@@ -10,7 +10,7 @@ import msgspec
 from dcp_spec.profile.loading import ProfileError, load_profile, profile_names
 from dcp_spec.profile.usability import refusal
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, expected, out_option, output_format, writing
 
 from . import main
 
@@ -34,23 +34,9 @@ def _ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None)
 )
 @click.argument("name", required=False, metavar="[NAME|FILE|new]")
 @click.argument("new_name", required=False, metavar="[NEW-NAME]")
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(["text", "json", "toml"]),
-    default="text",
-    show_default=True,
-    help="Format of the output.",
-)
+@output_format("text", "json", "toml")
 @click.option("--from", "recording", metavar="RECORDING", help="With new: draft a profile for this recording.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="With new: write the draft to FILE.  [default: NEW-NAME.toml]",
-)
+@out_option("FILE", "With new: write the draft to FILE.  [default: NEW-NAME.toml]")
 @click.option(
     "--ether-type", callback=_ether_type, metavar="HEX", help="With new: EtherType of the beacons, such as 0x4953."
 )
@@ -84,12 +70,10 @@ def command(
         raise click.UsageError(
             "a second name, --from and --out belong to: dcp-codec profiles new NAME --from RECORDING"
         )
-    try:
+    with expected(ProfileError):
         if name is not None:
             return _show(name, form)
         found = [load_profile(each) for each in profile_names()]
-    except ProfileError as error:
-        raise ExpectedError(str(error)) from None
     if form == "json":
         click.echo(json.dumps([{"name": each.name, "title": each.title} for each in found], indent=2))
         return 0
@@ -135,10 +119,8 @@ def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force:
         draft = draft_profile(name, frames, recording, ether_type=ether_type)
     except ValueError as error:
         raise ExpectedError(f"{recording}: {error}") from None
-    try:
+    with writing(out):
         write_whole(out, draft.text.encode())
-    except OSError as error:
-        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
     click.echo(f"{out}: extends {draft.extends}")
     click.echo(f"  {draft.decoded} of {draft.frames} frames decode with it, {draft.before} with {draft.extends} itself")
     for each in draft.left:

@@ -10,11 +10,10 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.capture.ring import RingWriter
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, expected, out_option
 from dcp_codec.framing.frames import with_ether_type
 
-from .common import ether_type as parse_ether_type
-from .common import load_codec, note, recording_format
+from .common import ether_type_option, load_codec, note, recording_format
 
 
 @click.command(
@@ -23,13 +22,10 @@ from .common import load_codec, note, recording_format
     "recorded until Ctrl-C, SIGTERM or --count; 2 wrong usage, no such interface, no permission, or a full disk.",
 )
 @click.option("-i", "--interface", required=True, metavar="IF", help="Ethernet interface to record (needs scapy).")
-@click.option(
-    "-o",
-    "--out",
+@out_option(
+    "FILE",
+    "Write the recording to this file: .pcapng, .pcap or .mcap, compressed if .gz or .zst follows.",
     required=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write the recording to this file: .pcapng, .pcap or .mcap, compressed if .gz or .zst follows.",
 )
 @click.option(
     "-p",
@@ -37,12 +33,7 @@ from .common import load_codec, note, recording_format
     metavar="NAME|FILE",
     help="Record only frames with the EtherType of this profile, or UDP.  [default: all]",
 )
-@click.option(
-    "--ether-type",
-    callback=parse_ether_type,
-    metavar="HEX",
-    help="Record only frames with this EtherType, such as 0x4953.",
-)
+@ether_type_option("Record only frames with this EtherType, such as 0x4953.")
 @click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N frames.")
 @click.option(
     "--ring-size", type=click.FloatRange(min=0.001), metavar="MB", help="Begin a new file after MB megabytes."
@@ -69,14 +60,15 @@ def command(
     """
     if ring_files is not None and ring_size is None and ring_time is None:
         raise click.UsageError("--ring-files needs --ring-size or --ring-time")
-    from dcp_codec.network.live import LiveError, open_live
+    from dcp_codec.network.live import LiveError, LiveReader
 
     link = load_codec(profile).profile.link if profile is not None else None
     if ether_type is not None:
         link = with_ether_type(link or load_codec("dcp-2.0").profile.link, ether_type)
     try:
         with (
-            open_live(interface, link) as reader,
+            expected(LiveError, CaptureError),
+            LiveReader(interface, link) as reader,
             RingWriter(
                 out,
                 max_octets=None if ring_size is None else int(ring_size * 1e6),
@@ -93,10 +85,6 @@ def command(
                 ring.write(frame)
             if reader.dropped:
                 note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
-    except LiveError as error:
-        raise ExpectedError(str(error)) from None
-    except CaptureError as error:
-        raise ExpectedError(str(error)) from None
     except OSError as error:
         raise ExpectedError(f"{error.filename or out}: {error.strerror}") from None
     kept = f", {len(ring.files)} of {ring.count} files kept" if ring.count > 1 else ""

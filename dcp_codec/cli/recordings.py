@@ -9,10 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dcp_codec.capture.reader import counted
 from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 from dcp_codec.common.extras import EXTRAS, advice
 
-from .common import MALFORMED, load_codec, malformed_note, no_beacons_note, note
+from .common import MALFORMED, load_codec, malformed_note, no_beacons_note, note, progress_bar
 
 if TYPE_CHECKING:
     from dcp_codec.table.job import Outcome
@@ -72,13 +73,6 @@ def octets_progress(recordings: Sequence[str]) -> Iterator[Callable[[int], objec
     if not sys.stderr.isatty():
         yield lambda _octets: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-
-    from dcp_codec.capture.reader import counted
-
     size = sum(Path(path).stat().st_size for path in recordings if Path(path).is_file())
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(counted(len(recordings), "recording"), total=size or None)
-        yield lambda octets: bar.advance(task, octets)
+    with progress_bar(counted(len(recordings), "recording"), size or None) as update:
+        yield lambda octets: update(advance=octets)

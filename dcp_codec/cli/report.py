@@ -10,7 +10,7 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.common.atomic_write import refuse_irregular, write_whole
-from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError, expected, out_option
 
 from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
@@ -31,13 +31,11 @@ _MANY = 20
     "usage or input that could not be read to its end (the page shows the readable part).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write the page to this file.  [default: in the current folder, NAME.html of the recording; report.html for "
+@out_option(
+    "FILE.html",
+    "Write the page to this file.  [default: in the current folder, NAME.html of the recording; report.html for "
     "several]",
+    folder=False,
 )
 @click.option(
     "--findings",
@@ -65,10 +63,8 @@ def command(
         from dcp_codec.table.archive import find_recordings
         from dcp_codec.table.job import TableError
 
-        try:
+        with expected(TableError):
             recordings = find_recordings(files)
-        except TableError as error:
-            raise ExpectedError(str(error)) from None
         if len(recordings) > _MANY:
             raise ExpectedError(f"a page holds {_MANY} recordings, and these are {len(recordings)}: give fewer")
         page = out or _default(recordings)
@@ -81,10 +77,8 @@ def command(
         from dcp_codec.report.findings import FindingsError, read_findings
         from dcp_codec.report.page import render
 
-        try:
+        with expected(FindingsError):
             judged = None if findings is None else read_findings(findings)
-        except FindingsError as error:
-            raise ExpectedError(str(error)) from None
         with octets_progress(recordings) as advance:
             chapters, outcomes = _chapters(recordings, profile, ether_type, judged, advance)
         if not chapters:

@@ -11,6 +11,7 @@ import click
 
 from dcp_codec.analysis.stats import Stats
 from dcp_codec.analysis.vantage_point import NO_LOSSES, records_transmissions
+from dcp_codec.common.commandline import output_format
 from dcp_codec.framing.locate import locate
 
 from .common import (
@@ -20,7 +21,6 @@ from .common import (
     malformed_note,
     no_beacons_note,
     open_input,
-    output_format,
     profile_options,
     progress,
     report_capture_problems,
@@ -109,11 +109,7 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
     damaged = data["damaged_payloads"]
     counts = [
         f"{data[key]} {name}" + (f" ({damaged[kind]} damaged)" if kind in damaged else "")
-        for key, kind, name in (
-            ("srp", "srp", "SRP"),
-            ("vardis", "vardis", "VarDis"),
-            ("other_payloads", "other", "other"),
-        )
+        for key, kind, name in _PAYLOADS
     ]
     console.print(f"  payloads: {', '.join(counts)}\n")
     if data["senders"]:

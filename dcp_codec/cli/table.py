@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError, choice_option, expected, out_option
 
 from .common import load_codec, note, profile_options
 from .recordings import check_input, extras, need_duckdb, octets_progress, tell
@@ -50,13 +50,8 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     "readable part is written).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="DIR|FILE",
-    help="Write to a folder, to a .duckdb database, or one table to a .parquet or .csv file.",
+@out_option(
+    "DIR|FILE", "Write to a folder, to a .duckdb database, or one table to a .parquet or .csv file.", required=True
 )
 @profile_options
 @click.option(
@@ -80,11 +75,9 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     metavar="N",
     help="Number of concurrent processes.  [default: one for each processor; 1 for less than 64 MiB]",
 )
-@click.option(
+@choice_option(
     "--engine",
-    type=click.Choice(["local", "dask"]),
-    default="local",
-    show_default=True,
+    of=["local", "dask"],
     help="Decode in processes of this machine, or by the workers of a Dask cluster.",
 )
 @click.option(
@@ -118,7 +111,7 @@ def command(
         from dcp_codec.table.archive import Order, find_recordings
         from dcp_codec.table.job import TableError
 
-        try:
+        with expected(TableError):
             recordings = tuple(find_recordings(files))
             order = Order(
                 recordings=recordings,
@@ -133,8 +126,6 @@ def command(
                 force=force,
             )
             outcomes = _make(order)
-        except TableError as error:
-            raise ExpectedError(str(error)) from None
     return max(tell(outcome) for outcome in outcomes)
 
 

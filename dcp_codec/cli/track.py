@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -20,7 +20,7 @@ from dcp_codec.analysis.tracks import (
 )
 from dcp_codec.capture import Frame
 from dcp_codec.common.atomic_write import write_whole
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, out_option, writing
 from dcp_codec.framing.frames import FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -41,14 +41,7 @@ def _reference(_ctx: click.Context, _param: click.Parameter, value: str | None) 
     epilog="Exit status: 0 all good, 2 wrong usage, no positions, or input that could not be read to its end.",
 )
 @click.argument("file")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write the positions to this file: .csv, .gpx or .kml.",
-)
+@out_option("FILE", "Write the positions to this file: .csv, .gpx or .kml.", required=True)
 @profile_options
 @click.option(
     "--reference",
@@ -100,31 +93,26 @@ def command(
         status = report_capture_problems(reader, file)
     if not count:
         raise ExpectedError(f"{file}: no state report with a position was found")
-    try:
+    with writing(out):
         write_whole(out, octets)
-    except OSError as error:
-        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
     note(f"{out}: {count} positions")
     return status
 
 
-def _positions(dissector: FrameDissector, frames: Iterator[Frame], every: float, advance: object) -> Iterator[Position]:
+def _positions(
+    dissector: FrameDissector, frames: Iterator[Frame], every: float, advance: Callable[[], None]
+) -> Iterator[Position]:
     reader, last, step = Positions(dissector.codec.profile), dict[str, int](), int(every * 1e9)
-    assert callable(advance)
-
-    def found() -> Iterator[Position]:
-        for frame in frames:
-            advance()
-            dissected = dissector.dissect(frame)
-            if isinstance(dissected, OtherTraffic):
-                continue
-            for position in reader.of(dissected):
-                before = last.get(position.node)
-                if before is None or position.time_ns - before >= step:
-                    last[position.node] = position.time_ns
-                    yield position
-
-    return found()
+    for frame in frames:
+        advance()
+        dissected = dissector.dissect(frame)
+        if isinstance(dissected, OtherTraffic):
+            continue
+        for position in reader.of(dissected):
+            before = last.get(position.node)
+            if before is None or position.time_ns - before >= step:
+                last[position.node] = position.time_ns
+                yield position
 
 
 def _written(kind: str, positions: Iterator[Position], reference: Reference | None) -> tuple[bytes, int]:

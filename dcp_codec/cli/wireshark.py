@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from dcp_spec.profile.loading import profile_names
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import writing
 
 from .common import load_codec
 
@@ -57,14 +57,12 @@ def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
     for name in profiles or profile_names():
         codec = load_codec(name)
         path = place / f"dcp-{re.sub('[^A-Za-z0-9.-]+', '-', codec.profile.name)}.lua"
-        try:
+        with writing(path):
             if action == "remove":
                 path.unlink(missing_ok=True)
                 continue
             place.mkdir(parents=True, exist_ok=True)
             write_whole(path, wireshark_dissector(codec).encode())
-        except OSError as error:
-            raise ExpectedError(f"{path}: cannot be written: {error.strerror}") from None
         click.echo(str(path))
     if action == "install":
         click.echo("Wireshark loads them when it starts, or with Analyze > Reload Lua Plugins.")

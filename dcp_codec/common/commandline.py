@@ -13,16 +13,19 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import click
 from dcp_spec.version import __version__
 
 from .extras import EXTRAS, advice
 from .printable import plain
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 #: Exit status for wrong usage and for unusable input, in every command.
 UNUSABLE = 2
@@ -46,6 +49,40 @@ class ExpectedError(Exception):
     def __init__(self, message: str, status: int = UNUSABLE) -> None:
         super().__init__(message)
         self.status = status
+
+
+@contextlib.contextmanager
+def expected(*kinds: type[Exception]) -> Iterator[None]:
+    """Report exceptions of these kinds, whose message is meant for the user, as :class:`ExpectedError`."""
+    try:
+        yield
+    except kinds as error:
+        raise ExpectedError(str(error)) from None
+
+
+@contextlib.contextmanager
+def writing(path: object) -> Iterator[None]:
+    """Report a file that the system does not let us write as :class:`ExpectedError`."""
+    try:
+        yield
+    except OSError as error:
+        raise ExpectedError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def choice_option(*names: str, of: Sequence[str], help: str) -> Callable[[F], F]:
+    """Return an option that has one of a few values; the first of ``of`` is the default."""
+    return click.option(*names, type=click.Choice(of), default=of[0], show_default=True, help=help)
+
+
+def output_format(*forms: str, help: str = "Format of the output.") -> Callable[[F], F]:
+    """Return the option ``--format`` (parameter ``form``) of the printed output."""
+    return choice_option("-f", "--format", "form", of=forms, help=help)
+
+
+def out_option(metavar: str, help: str, *, required: bool = False, folder: bool = True) -> Callable[[F], F]:
+    """Return the option ``--out`` (parameter ``out``, a path); ``folder``: it may be a folder that exists."""
+    path = click.Path(path_type=Path, dir_okay=folder)
+    return click.option("-o", "--out", required=required, type=path, metavar=metavar, help=help)
 
 
 class LazyGroup(click.Group):

@@ -8,8 +8,6 @@ from typing import Any
 
 import msgspec
 
-__all__ = ["schema_components"]
-
 
 def schema_components(types: Iterable[Any]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:
     """Return the schemas of types, and the definitions that they refer to (``#/$defs/NAME``).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any, Final
 
@@ -53,18 +53,8 @@ def ending_like_interrupts() -> Iterator[None]:
     A signal that is ignored at the start of the process (``nohup``) stays ignored. In other threads than the main
     thread, which cannot set signal handlers, the function has no effect.
     """
-    if threading.current_thread() is not threading.main_thread():
+    with _handled(_ENDING, signal.default_int_handler):
         yield
-        return
-    before = {number: signal.getsignal(number) for number in _ENDING}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -73,18 +63,25 @@ def deferred() -> Iterator[None]:
 
     The process is ending already: a second Ctrl-C while a report is written must not lose the report.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def ignore(_number: int, _frame: Any) -> None:
         # Processes that are started in the block inherit SIG_IGN, but not a handler.
         return
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_ENDING)}
+    with _handled((signal.SIGINT, *_ENDING), ignore):
+        yield
+
+
+@contextlib.contextmanager
+def _handled(numbers: Sequence[signal.Signals], handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+    """Handle signals during the ``with`` block, except ignored ones; in other threads than the main one do nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in numbers}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
-            signal.signal(number, ignore)
+            signal.signal(number, handle)
     try:
         yield
     finally:

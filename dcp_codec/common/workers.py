@@ -120,6 +120,3 @@ class Worker:
             self.process.kill()
             self.process.join()
         self.connection.close()
-
-
-__all__ = ["Worker", "WorkerLostError", "completed"]

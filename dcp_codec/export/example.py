@@ -9,11 +9,13 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.jsonform import scalar_json
-from dcp_codec.plan.tree import Exact, Fill, Group, Node, Rest, Scalar
+from dcp_codec.plan.tree import Fill, Group, Rest, Scalar
 from dcp_codec.records import RecordFactory
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
 from dcp_codec.views.encode_diagnosis import zero
 from dcp_codec.views.fields import Field
+
+from .jsonschema import record_group
 
 #: 2023-11-14T22:13:20Z
 _NOW_S = 1_700_000_000
@@ -27,15 +29,9 @@ def example_beacon(codec: Codec) -> Beacon:
     if codec.report_plan is not None:
         payloads.append(Payload(BP_PROTID_SRP, _report(codec, node_id)))
     elif codec.srp_plan is not None:
-        payloads.append(Payload(BP_PROTID_SRP, _blank(_record(codec.srp_plan), codec)))
+        payloads.append(Payload(BP_PROTID_SRP, _blank(record_group(codec.srp_plan), codec)))
     payloads.append(Payload(BP_PROTID_VARDIS, _containers(codec, node_id)))
     return Beacon(RecordFactory(codec).header(node_id, 41), tuple(payloads))
-
-
-def _record(plan: Node) -> Group:
-    record = plan.content if isinstance(plan, Exact) else plan
-    assert isinstance(record, Group)
-    return record
 
 
 def _blank(group: Group, codec: Codec) -> Any:

@@ -6,7 +6,9 @@ from typing import Any, Literal, NamedTuple
 
 from dcp_spec.profile.definition import Profile
 
+from dcp_codec.plan.measures import largest, longest
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.views.encode_diagnosis import bounds
 
 from .wording import description, meaning
 
@@ -83,7 +85,7 @@ class RecordSchemas:
             return self.real(scalar)
         if self.style == "strict" and scalar.rule is not None and scalar.rule.value is not None:
             return {"type": "integer", "const": scalar.rule.value}
-        low, high = int_range(scalar)
+        low, high = bounds(scalar)
         if self.style == "strict" and scalar.rule is not None:
             low = 1
         schema: JSONSchema = {"type": self.types("integer"), "minimum": low, "maximum": high}
@@ -116,7 +118,7 @@ class RecordSchemas:
         if self.style != "strict" or counter is None:
             return {"minItems": 1} if self.style == "strict" and node.nonempty else {}
         least = 1 if counter.rule is not None and counter.rule.value is None else 0
-        return {"minItems": least, "maxItems": int_range(counter)[1]}
+        return {"minItems": least, "maxItems": largest(counter)}
 
     # Records.
 
@@ -276,18 +278,10 @@ class RecordSchemas:
         return ViewerRecord(properties, required, alternatives)
 
 
-def int_range(scalar: Scalar) -> tuple[int, int]:
-    """Return the least and the greatest number of ``scalar``."""
-    bits = 8 * scalar.size
-    return (-(1 << bits - 1), (1 << bits - 1) - 1) if scalar.signed else (0, (1 << bits) - 1)
-
-
 def _longest(text: Text) -> int | None:
     """Return the maximum number of octets of a text without its NUL; None if it is unbounded."""
-    if not text.prefixes:
-        return None
-    bound = min(int_range(prefix)[1] for prefix in text.prefixes) - text.terminated
-    return bound if bound <= _MAX_BOUND else None
+    most = longest(text)
+    return None if most is None or most - text.terminated > _MAX_BOUND else most - text.terminated
 
 
 def _hex_up_to(octets: int | None) -> str:

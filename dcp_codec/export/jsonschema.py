@@ -132,7 +132,8 @@ def _root(profile: Profile, name: str, about: str, schema: JSONSchema, defs: dic
     return {**whole, "$defs": defs} if defs else whole
 
 
-def _integer(about: str, minimum: int, maximum: int | None = None) -> JSONSchema:
+def integer_schema(about: str, minimum: int = 0, maximum: int | None = None) -> JSONSchema:
+    """Return the schema of an integer."""
     bounds = {"minimum": minimum} if maximum is None else {"minimum": minimum, "maximum": maximum}
     return {"type": "integer", **bounds, "description": about}
 
@@ -141,8 +142,8 @@ def _frame_members() -> dict[str, JSONSchema]:
     """Return the members that :class:`dcp_codec.framing.frames.DissectedFrame` prints before the beacon."""
     absent = "; null without a link-layer header"
     return {
-        "frame": _integer("number of the frame in the recording, from 1", 1),
-        "time_ns": _integer("time of capture, in ns since 1970-01-01T00:00:00Z", 0, _MAX_TIME_NS),
+        "frame": integer_schema("number of the frame in the recording, from 1", 1),
+        "time_ns": integer_schema("time of capture, in ns since 1970-01-01T00:00:00Z", 0, _MAX_TIME_NS),
         "src": {"type": ["string", "null"], "pattern": _MAC, "description": f"source address{absent}"},
         "dst": {"type": ["string", "null"], "pattern": _MAC, "description": f"destination address{absent}"},
         "etherType": {
@@ -158,7 +159,7 @@ def _findings() -> dict[str, JSONSchema]:
     """Return the members after the beacon."""
     problems: JSONSchema = {"type": "array", "items": {"$ref": "#/$defs/Problem"}}
     return {
-        "padding": _integer("octets of bearer padding after the beacon [BP-RX-14]", 0),
+        "padding": integer_schema("octets of bearer padding after the beacon [BP-RX-14]", 0),
         "errors": {
             **problems,
             "description": "errors because of which the octets are not a beacon of the profile, in wire order",
@@ -190,7 +191,7 @@ def problem_properties(*, nullable: bool) -> dict[str, JSONSchema]:
             "description": "the kind of problem, as a fixed word",
         },
         "path": {"type": "string", "description": "the field, with indices"},
-        "offset": _integer("octet where the field starts, from the first octet of the frame", 0),
+        "offset": integer_schema("octet where the field starts, from the first octet of the frame", 0),
         "needed": {"type": integer, "description": "octets, or the number, that would have been correct"},
         "available": {"type": integer, "description": "octets that are present, or the number that was found"},
         "requirement": {

@@ -229,10 +229,8 @@ class _Layout:
         return f"{'INT' if node.signed else 'UINT'}{bits}", base
 
     def text(self, node: Text, path: str) -> dict[str, Any]:
-        if node.human:
-            field = self.field(path, "STRING", "UNICODE", doc=node.doc or None)
-        else:
-            field = self.field(path, "BYTES", "NONE", doc=node.doc or None)
+        of_type, base = ("STRING", "UNICODE") if node.human else ("BYTES", "NONE")
+        field = self.field(path, of_type, base, doc=node.doc or None)
         if node.terminated:
             self.field(f"{path}.terminator", "UINT8", "HEX")
         return {

@@ -94,13 +94,10 @@ def _glance(codec: Codec) -> Iterator[tuple[str, ...]]:
     node = profile.types.node_id
     width = "text after a length" if node.length is not None else _octets(node.width)
     yield "node identifier", f"{width}, written as {node.representation}"
-    stamp = next((node for group in _records(codec) for node in group.members if _is_stamp(node)), None)
-    if isinstance(stamp, Scalar):
+    members = (member for group in _records(codec) for member in group.members)
+    stamp = next((each for each in members if isinstance(each, Scalar) and each.role == "timestamp"), None)
+    if stamp is not None:
         yield "time stamps", f"{_type(stamp)}, {stamp.order}-endian, {unit_of(stamp, profile)}"
-
-
-def _is_stamp(node: Node) -> bool:
-    return isinstance(node, Scalar) and node.role == "timestamp"
 
 
 def _constants(profile: Profile) -> Iterator[tuple[str, ...]]:
@@ -270,9 +267,7 @@ def _contents(node: Node, group: Group) -> Iterator[tuple[str, str, str, str]]:
             yield node.name, _link(node.content.type_name), "", meaning(node.content)
         case Group():
             yield node.name, _link(node.type_name), "", meaning(node)
-        case Rest():
-            yield node.name, "octets", "", meaning(node)
-        case Fill():
+        case Rest() | Fill():
             yield node.name, "octets", "", meaning(node)
         case _:
             raise TypeError(f"{type(node).__name__} is not a content")

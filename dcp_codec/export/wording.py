@@ -23,6 +23,16 @@ def snake_name(name: str) -> str:
     return plain if plain[:1].isalpha() else f"f_{plain}".rstrip("_")
 
 
+def constant(name: str) -> str:
+    """Return a name in capitals: ``"REQUEST-VARUPDATES"`` -> ``"REQUEST_VARUPDATES"``."""
+    return "".join(each if each.isalnum() and each.isascii() else "_" for each in name).upper()
+
+
+def bits_of(octets: int) -> int:
+    """Return the width of the narrowest integer of C and Rust for a value of ``octets`` octets."""
+    return next(bits for bits in (8, 16, 32, 64) if octets * 8 <= bits)
+
+
 def requirement_of(node: Node) -> str | None:
     """Return the requirement for a field or record, if the schema names one."""
     if not isinstance(node, Scalar | Text) and node.field_requirement is not None:

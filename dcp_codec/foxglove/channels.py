@@ -38,6 +38,7 @@ from dcp_codec.export.jsonrecords import JSONSchema, ViewerRecord
 from dcp_codec.export.jsonschema import (
     DRAFT,
     container_group,
+    integer_schema,
     problem_properties,
     record_group,
     schema_octets,
@@ -75,7 +76,7 @@ class DecodedChannels:
             "/dcp/vardis",
             "dcp.VardisContainer",
             "One VarDis instruction container.",
-            _BLOCK | {"container": _integer("index of the container in its payload, from 0")},
+            _BLOCK | {"container": integer_schema("index of the container in its payload, from 0")},
             viewer_record(codec, container_group(codec)),
         )
         self._report: _Channel | None = None
@@ -280,55 +281,54 @@ def _beacon_columns(codec: Codec) -> tuple[dict[str, JSONSchema], ViewerRecord]:
     own: dict[str, JSONSchema] = {
         "src": {"type": "string", "description": "source address"},
         "dst": {"type": "string", "description": "destination address"},
-        "etherType": _integer("EtherType"),
+        "etherType": integer_schema("EtherType"),
         "payloads": {
             "type": "array",
             "description": "headers of the payload blocks",
             "items": {"type": "object", "title": "Payload", "properties": heading},
         },
-        "padding": _integer("octets of bearer padding after the beacon [BP-RX-14]"),
+        "padding": integer_schema("octets of bearer padding after the beacon [BP-RX-14]"),
         **_ERRORS,
-        "warnings": _integer("rules broken by well-formed parts of the frame"),
+        "warnings": integer_schema("rules broken by well-formed parts of the frame"),
     }
     return own, viewer_record(codec, header) if header is not None else ViewerRecord({}, [], [])
-
-
-def _integer(about: str) -> JSONSchema:
-    return {"type": "integer", "minimum": 0, "description": about}
 
 
 _TIME: JSONSchema = {
     "type": "object",
     "title": "time",
     "description": "time of capture, since 1970-01-01T00:00:00Z",
-    "properties": {"sec": _integer("whole seconds"), "nsec": {**_integer("nanoseconds"), "maximum": 999_999_999}},
+    "properties": {
+        "sec": integer_schema("whole seconds"),
+        "nsec": {**integer_schema("nanoseconds"), "maximum": 999_999_999},
+    },
     "required": ["sec", "nsec"],
 }
 
 _COMMON: dict[str, JSONSchema] = {
     "timestamp": _TIME,
-    "frame": {**_integer("number of the frame in the recording, from 1"), "minimum": 1},
+    "frame": {**integer_schema("number of the frame in the recording, from 1"), "minimum": 1},
     "sender": {"type": "string", "description": "node that sent the frame"},
 }
 
 _ERRORS: dict[str, JSONSchema] = {
-    "errors": _integer("errors of the frame, see /dcp/errors; where it is not 0, columns may be missing")
+    "errors": integer_schema("errors of the frame, see /dcp/errors; where it is not 0, columns may be missing")
 }
 
 _BLOCK: dict[str, JSONSchema] = {
     **_ERRORS,
-    "payload": _integer("index of the payload block in the beacon, from 0"),
+    "payload": integer_schema("index of the payload block in the beacon, from 0"),
 }
 
 _HOLDING: dict[str, JSONSchema] = {
-    "varId": _integer("variable"),
+    "varId": integer_schema("variable"),
     "state": {
         "type": "string",
         "enum": ["held", "deleted", "unknown"],
         "description": "state of the variable at the sender; unknown: it requests the create",
     },
-    "seqno": _integer("sequence number that the sender states"),
-    "lag": _integer("number of later values that the producer has sent; missing if that is not known"),
+    "seqno": integer_schema("sequence number that the sender states"),
+    "lag": integer_schema("number of later values that the producer has sent; missing if that is not known"),
 }
 
 _PROBLEM: dict[str, JSONSchema] = {

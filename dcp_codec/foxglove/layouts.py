@@ -6,6 +6,7 @@ The layout is made for one file: one plot line and one colour for each node in i
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterable, Sequence
 from itertools import cycle, islice
 from pathlib import Path
@@ -28,7 +29,28 @@ _MANY = 50
 #: Minimum distance of the camera in metres, and its distance in multiples of the extent of the scene.
 _LEAST, _AWAY = 10.0, 1.5
 
+#: A PoseStamped in CDR: octets of the encapsulation header, of the stamp, and the length of `frame_id`, which ends in a
+#: zero.
+_CDR_HEAD, _STAMP, _LENGTH = 4, 8, struct.Struct("<I")
+_POINT = struct.Struct("<ddd")
+#: Little-endian plain CDR, the only encoding in our bags.
+_CDR_LE = b"\x00\x01"
+
 Json = dict[str, Any]
+
+
+class _Point(msgspec.Struct):
+    x: float
+    y: float
+    z: float
+
+
+class _Pose(msgspec.Struct):
+    position: _Point
+
+
+class _PoseInFrame(msgspec.Struct):
+    pose: _Pose
 
 
 def layout_of(path: Path) -> Json:
@@ -60,8 +82,6 @@ def _positions(reader: Any, poses: Sequence[str]) -> list[Sequence[float]]:
     found: list[Sequence[float]] = []
     if not poses:
         return found
-    from .poses import position_in
-
     for schema, channel, message in reader.iter_messages(topics=list(poses)):
         position = position_in(channel.message_encoding, schema.name, message.data)
         if position is not None:
@@ -69,6 +89,25 @@ def _positions(reader: Any, poses: Sequence[str]) -> list[Sequence[float]]:
         if len(found) >= _LOOKED_AT:
             break
     return found
+
+
+def position_in(encoding: str, schema: str, data: bytes) -> tuple[float, float, float] | None:
+    """Return x, y, z in metres of a ``foxglove.PoseInFrame`` in JSON or a ``PoseStamped`` in CDR; None for other
+    schemas.
+    """
+    try:
+        if (encoding, schema) == ("json", "foxglove.PoseInFrame"):
+            point = msgspec.json.decode(data, type=_PoseInFrame).pose.position
+            return point.x, point.y, point.z
+        if (encoding, schema) == ("cdr", "geometry_msgs/msg/PoseStamped") and data[:2] == _CDR_LE:
+            (length,) = _LENGTH.unpack_from(data, _CDR_HEAD + _STAMP)
+            at = _STAMP + _LENGTH.size + length
+            # Alignment counts from the end of the encapsulation header.
+            x, y, z = _POINT.unpack_from(data, _CDR_HEAD + at + -at % 8)
+            return x, y, z
+    except (msgspec.MsgspecError, struct.error):
+        return None
+    return None
 
 
 def _senders(reader: Any) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -16,19 +17,15 @@ from dcp_codec.views.fields import Dissection, Field
 from .locate import Framing, OtherTraffic, bare, locate, mac
 
 
+@dataclass(slots=True, eq=False)
 class DissectedFrame:
     """One DCP frame of a recording. Offsets count from the first octet of the frame."""
 
-    __slots__ = ("codec", "dissection", "doubt", "frame", "framing")
-
-    def __init__(
-        self, codec: Codec, frame: Frame, framing: Framing, dissection: Dissection, doubt: str | None = None
-    ) -> None:
-        self.doubt = doubt
-        self.codec = codec
-        self.frame = frame
-        self.framing = framing
-        self.dissection = dissection
+    codec: Codec
+    frame: Frame
+    framing: Framing
+    dissection: Dissection
+    doubt: str | None = None
 
     @property
     def header(self) -> Field | None:

@@ -14,11 +14,10 @@ import struct
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from types import TracebackType
-from typing import Self
 
 from dcp_spec.profile.definition import Link
 
+from dcp_codec.capture.bytesource import Closing
 from dcp_codec.capture.frame import MAX_FRAME_LENGTH, CaptureProblem, Frame
 
 from . import sockets
@@ -42,20 +41,8 @@ class LiveError(Exception):
     """Live capture is impossible. The message says what is wrong, where, and what to do."""
 
 
-def open_live(interface: str, link: Link | None, *, promiscuous: bool = True) -> LiveReader:
-    """Open ``interface`` for live capture.
-
-    The kernel's filter passes only frames with the EtherType of ``link``; for a UDP link it passes all IP frames,
-    without a link all frames. Up to two VLAN tags are skipped. ``promiscuous``: also capture frames to other stations.
-
-    Raises :class:`LiveError` if the interface does not exist, is down or is not Ethernet, or if the privilege or scapy
-    is missing.
-    """
-    return LiveReader(interface, link, promiscuous=promiscuous)
-
-
-class LiveReader:
-    """Frames of one interface; an iterator and a context manager. Opened by :func:`open_live`.
+class LiveReader(Closing):
+    """Frames of one interface; an iterator and a context manager.
 
     The iteration waits for frames and ends only after :meth:`close`, which may be called from another thread or a
     signal handler. While the interface is down or unplugged it waits for its return.
@@ -66,7 +53,16 @@ class LiveReader:
     position = 0
     size: int | None = None
 
-    def __init__(self, interface: str, link: Link | None, *, promiscuous: bool) -> None:
+    def __init__(self, interface: str, link: Link | None, *, promiscuous: bool = True) -> None:
+        """Open ``interface`` for live capture.
+
+        The kernel's filter passes only frames with the EtherType of ``link``; for a UDP link it passes all IP frames,
+        without a link all frames. Up to two VLAN tags are skipped. ``promiscuous``: also capture frames to other
+        stations.
+
+        Raises :class:`LiveError` if the interface does not exist, is down or is not Ethernet, or if the privilege or
+        scapy is missing.
+        """
         self.name = interface
         self.frames_read = 0
         self._filter = _program(_ether_types(link))
@@ -101,14 +97,6 @@ class LiveReader:
 
     def __iter__(self) -> Iterator[Frame]:
         return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the iteration and release the interface. May be called at any time, from any thread, and repeatedly."""

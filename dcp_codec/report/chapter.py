@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
 from dcp_codec.analysis.vantage_point import NO_LOSSES
 from dcp_codec.common.printable import plain
+from dcp_codec.texts import utc
 
 from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time
@@ -18,8 +18,6 @@ from .page import Chapter
 from .plots import DRAWN, PlotContext
 from .recorded import Recorded
 from .series import seconds_text, short
-
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def chapter(recorded: Recorded, number: int = 0, judged: Judged | None = None) -> Chapter:
@@ -79,8 +77,8 @@ def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
         ("profile", plain(", ".join(outcome.notes).removeprefix("profile ") or outcome.profile)),
     ]
     if outcome.frames > outcome.other:
-        facts.append(("from", stamp(time.first_ns)))
-        facts.append(("to", stamp(time.last_ns)))
+        facts.append(("from", f"{utc(time.first_ns)} UTC"))
+        facts.append(("to", f"{utc(time.last_ns)} UTC"))
     if recorded.transmissions_only:
         facts.append(("note", f"Losses are unknown: {NO_LOSSES}."))
     return facts
@@ -173,12 +171,3 @@ def _figures(
         ("dissemination delay, 95th percentile", quantile(0.95)),
         ("transmitted octets", f"{octets:,}"),
     ]
-
-
-def stamp(time: int) -> str:
-    """Return a time of capture (ns since 1970) as text in UTC."""
-    seconds, rest = divmod(time, 1_000_000_000)
-    try:
-        return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{rest:09d} UTC"
-    except OverflowError:
-        return f"{time} ns since 1970"

@@ -243,12 +243,6 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
     pair.differs = _joined(pieces[differs])
 
 
-def _differ(held: Column, produced: Column) -> Column:
-    """Return whether numbers differ. A deleted variable and an unknown one count as equal."""
-    found: Column = (held != produced) & ((held >= 0) | (produced >= 0))
-    return found
-
-
 def _with_deletions(claimed: _Claims, produced: _Claims, end: float) -> _Claims:
     """Add a deletion to the claims of a node that sends no record about a variable after the producer deleted it.
 
@@ -288,7 +282,9 @@ def _pieces(produced: _Claims, claimed: _Claims, end: float, forgotten: float) -
     mine, theirs = claimed.at(times[:-1]), produced.at(times[:-1])
     row = np.maximum(mine, 0)
     known = (mine >= 0) & (theirs >= 0) & ~(silent[row] & (times[:-1] >= claimed.time[row] + forgotten))
-    differs = _differ(claimed.number[row], produced.number[np.maximum(theirs, 0)])
+    held, wanted = claimed.number[row], produced.number[np.maximum(theirs, 0)]
+    # A deleted variable and an unknown one count as equal.
+    differs = (held != wanted) & ((held >= 0) | (wanted >= 0))
     return np.stack([times[:-1], times[1:]], axis=1)[known], differs[known]
 
 

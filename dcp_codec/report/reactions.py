@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,13 +37,17 @@ class Reactions:
 
     def reacts(self, node: int) -> list[int]:
         """Return the indices of the nodes to which the node reacts mostly."""
-        shares = ((other, self.share(node, other)) for other in range(len(self.trials)))
-        return [other for other, share in shares if share is not None and share >= REACTS]
+        return [other for other, share in self._known(node) if share >= REACTS]
 
     def hears(self, node: int) -> list[int]:
         """Return the indices of the nodes to which the node reacts at least sometimes."""
-        shares = ((other, self.share(node, other)) for other in range(len(self.trials)))
-        return [other for other, share in shares if share is not None and share > DEAF]
+        return [other for other, share in self._known(node) if share > DEAF]
+
+    def _known(self, node: int) -> Iterator[tuple[int, float]]:
+        """Yield the other nodes whose share is known."""
+        for other in range(len(self.trials)):
+            if (share := self.share(node, other)) is not None:
+                yield other, share
 
 
 def reactions(recorded: Recorded, transmissions: Transmissions, nodes: list[int]) -> Reactions:

@@ -16,9 +16,9 @@ from dcp_codec.analysis.entry import DELETED, UNKNOWN
 from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
 from dcp_codec.common.printable import plain
-from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
+from dcp_codec.table.decoding import Batch
 from dcp_codec.table.input.sources import Recording
-from dcp_codec.table.job import Advance, Outcome, others, resolve
+from dcp_codec.table.job import Advance, Outcome, batches, decoder_for, resolve, tell_others
 
 Column = npt.NDArray[Any]
 
@@ -348,26 +348,16 @@ def gather(
     outcome = Outcome(path, codec.profile.name, [note] if note else [])
     gatherer = _Gatherer(codec)
     with Recording(path) as recording:
-        decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
-        position = 0
-        for block in recording.blocks():
-            for batch in decoder.batches(block):
-                outcome.frames += batch.frames
-                outcome.malformed += batch.malformed
-                outcome.other += batch.other
-                gatherer.add(batch)
-            advance(block.position - position)
-            position = block.position
-            if gatherer.rows >= most:
-                outcome.problems.append(
-                    f"only the first {outcome.frames:,} frames are in this report, which is as much as it keeps in "
-                    f"memory ({most:,} rows of tables); dcp-codec table has no such limit."
-                )
-                break
+        decoder = decoder_for(recording, codec, link)
+        for batch in batches(recording, decoder, outcome, advance, lambda: gatherer.rows >= most):
+            gatherer.add(batch)
+        if gatherer.rows >= most:
+            outcome.problems.append(
+                f"only the first {outcome.frames:,} frames are in this report, which is as much as it keeps in "
+                f"memory ({most:,} rows of tables); dcp-codec table has no such limit."
+            )
         outcome.problems += [problem.message for problem in recording.problems]
-    if outcome.other == outcome.frames:
-        outcome.link = link
-        outcome.others = {} if path == "-" else others(path, link)
+    tell_others(outcome, link)
     return Recorded(
         outcome=outcome,
         codec=codec,

@@ -15,6 +15,7 @@ from scapy.volatile import RandBin, RandFloat, RandNum, VolatileValue
 
 from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan.tree import Fill, Node, Rest, Scalar, Text
+from dcp_codec.views.encode_diagnosis import bounds
 from dcp_codec.views.fields import Field as Found
 
 #: Maximum length of strings in scapy's fuzzing; longer ones would only make frames too long for the link.
@@ -120,7 +121,7 @@ class ScalarField(PlanField):
             return _exactly(bytes(value), node.size)
         if not isinstance(value, int):
             raise TypeError("not an integer")
-        low, high = _bounds(node)
+        low, high = bounds(node)
         if not low <= value <= high:
             raise ValueError(f"not in {low}..{high}")
         return value.to_bytes(node.size, node.order, signed=node.signed)
@@ -148,20 +149,19 @@ class ScalarField(PlanField):
             return RandBin(node.size)
         if node.kind == "float":
             return RandFloat(-1000, 1000)
-        return RandNum(*_bounds(node))
+        return RandNum(*bounds(node))
 
 
-class NodeIdField(ScalarField):
-    """A node identifier of fixed width, kept as text: ``02:00:00:00:00:01``."""
+class _NodeIdentifier(PlanField):
+    """A node identifier, kept as text."""
 
-    __slots__ = ("representation",)
+    __slots__ = ()
 
-    def __init__(self, name: str, default: Any, node: Scalar, representation: str) -> None:
-        self.representation = representation
-        super().__init__(name, default, node)
+    representation: str
 
     def value_octets(self, value: Any) -> bytes:
-        return super().value_octets(_node_id_octets(value, self.representation))
+        octets = node_id_octets(value, self.representation) if isinstance(value, str) else bytes(value)
+        return super().value_octets(octets)
 
     def from_octets(self, octets: bytes) -> Any:
         return node_id_text(octets, self.representation)
@@ -171,6 +171,16 @@ class NodeIdField(ScalarField):
 
     def i2repr(self, _pkt: Any, x: Any) -> str:
         return x if isinstance(x, str) else repr(x)
+
+
+class NodeIdField(_NodeIdentifier, ScalarField):
+    """A node identifier of fixed width: ``02:00:00:00:00:01``."""
+
+    __slots__ = ("representation",)
+
+    def __init__(self, name: str, default: Any, node: Scalar, representation: str) -> None:
+        self.representation = representation
+        super().__init__(name, default, node)
 
 
 class OctetsField(PlanField):
@@ -195,22 +205,12 @@ class OctetsField(PlanField):
         return RandBin(RandNum(0, _LONGEST_RANDOM))
 
 
-class NodeIdTextField(OctetsField):
+class NodeIdTextField(_NodeIdentifier, OctetsField):
     """A node identifier that is text on the wire."""
 
     __slots__ = ()
 
-    def value_octets(self, value: Any) -> bytes:
-        return super().value_octets(_node_id_octets(value, "text"))
-
-    def from_octets(self, octets: bytes) -> Any:
-        return node_id_text(octets, "text")
-
-    def h2i(self, _pkt: Any, x: Any) -> Any:
-        return self.from_octets(x) if isinstance(x, bytes) else x
-
-    def i2repr(self, _pkt: Any, x: Any) -> str:
-        return x if isinstance(x, str) else repr(x)
+    representation = "text"
 
 
 class RecordField(PacketField):
@@ -255,17 +255,7 @@ class ChosenField(ConditionalField):
         return self.fld.i2h(pkt, val)
 
 
-def _bounds(node: Scalar) -> tuple[int, int]:
-    """Return the least and the greatest integer of a scalar."""
-    values = 1 << (8 * node.size)
-    return (-values // 2, values // 2 - 1) if node.signed else (0, values - 1)
-
-
 def _exactly(octets: bytes, size: int) -> bytes:
     if len(octets) != size:
         raise ValueError(f"{len(octets)} octets, needs {size}")
     return octets
-
-
-def _node_id_octets(value: Any, representation: str) -> bytes:
-    return node_id_octets(value, representation) if isinstance(value, str) else bytes(value)

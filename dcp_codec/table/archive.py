@@ -22,10 +22,10 @@ from dcp_codec.codec import get_codec
 from dcp_codec.common.atomic_write import rename_durably, sync_tree
 from dcp_codec.common.workers import WorkerLostError, completed
 
-from .job import Advance, Job, Outcome, TableError, run
+from .job import Advance, Job, Outcome, TableError, run, size_of
 from .kernel.jit import COMPILING, LOG, announce
 from .kernel.shape import ERRORS, HOLDINGS, Shape
-from .writing import Format, write_database
+from .writing import Format, fitted, joint_schema, open_writer, write_database
 
 Engine = Literal["local", "dask"]
 
@@ -179,7 +179,7 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
         advance(seen - before)
 
     # Start with the largest recording: started last, it would occupy one worker alone.
-    places = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
+    places = sorted(range(len(jobs)), key=lambda index: -size_of(jobs[index].path))
     begin = partial(_Worker.prepare, done, compiling)
     try:
         results = completed(
@@ -219,13 +219,6 @@ class _Worker:
         return run(job, count)
 
 
-def _size(path: str) -> int:
-    try:
-        return Path(path).stat().st_size
-    except OSError:
-        return 0
-
-
 # -- output -------------------------------------------------------------------------------------------------------
 
 
@@ -254,10 +247,7 @@ def _deliver(order: Order, folder: Path, outcomes: Sequence[Outcome]) -> None:
 
 def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
     """Write the parts of one table to one file, with the columns of all parts."""
-    import pyarrow as pa
     from pyarrow import parquet
-
-    from .writing import joint_schema, open_writer
 
     if form == "parquet" and len(parts) == 1:
         parts[0].rename(target)
@@ -267,26 +257,16 @@ def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
     writer = open_writer(form, target, schema)
     for file in files:
         for batch in file.iter_batches(1 << 16):
-            arrays = [
-                batch.column(field.name).cast(field.type)
-                if field.name in batch.schema.names
-                else pa.nulls(batch.num_rows, field.type)
-                for field in schema
-            ]
-            writer.write(pa.RecordBatch.from_arrays(arrays, schema=schema))
+            writer.write(fitted(batch, schema))
         file.close()
     writer.close()
 
 
 def _replace(made: Path, out: Path) -> None:
-    if made.is_dir() and out.is_dir():
-        # A folder cannot be renamed to a folder that is not empty.
-        aside = made.with_name("replaced")
-        out.rename(aside)
+    if made.is_dir() and out.exists():
+        # A folder cannot be renamed to a file, nor to a folder that is not empty.
+        out.rename(made.with_name("replaced"))
     elif out.is_dir():
         raise TableError(f"{out}: is a folder, but the output is a file")
-    elif made.is_dir() and out.exists():
-        aside = made.with_name("replaced")
-        out.rename(aside)
     sync_tree(made)
     rename_durably(made, out)

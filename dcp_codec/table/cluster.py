@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from .job import Advance, Job, Outcome, TableError, run
+from .job import Advance, Job, Outcome, TableError, run, size_of
 
 #: Timeout of the connection to a scheduler in seconds.
 _PATIENCE = 10
@@ -50,7 +50,7 @@ def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, adv
                 raise TableError(f"the Dask scheduler {scheduler} cannot be reached: {error}") from error
         # pure=False: Dask would otherwise execute equal jobs only once.
         futures = [client.submit(run, job, pure=False) for job in whole]
-        sizes = {future.key: _size(job.path) for future, job in zip(futures, whole, strict=True)}
+        sizes = {future.key: size_of(job.path) for future, job in zip(futures, whole, strict=True)}
         for future in distributed.as_completed(futures):
             advance(sizes[future.key])
         try:
@@ -60,10 +60,3 @@ def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, adv
     for outcome, job in zip(outcomes, jobs, strict=True):
         outcome.path = job.path
     return outcomes
-
-
-def _size(path: str) -> int:
-    try:
-        return Path(path).stat().st_size
-    except OSError:
-        return 0

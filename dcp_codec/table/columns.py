@@ -110,7 +110,9 @@ class Storage:
             self._spare.clear()
             self._size = rows, space
         pieces = [self._free((table.number, False), partial(_table_memory, table, rows)) for table in self._tables]
-        octets = {number: self._free((number, True), partial(_octets_memory, space)).whole for number in self._varying}
+        octets = {
+            number: self._free((number, True), lambda: _Piece(_fresh(space), {})).whole for number in self._varying
+        }
         parts = {number: part for piece in pieces for number, part in piece.parts.items()}
         return Memory([piece.whole for piece in pieces], [parts[number] for number in sorted(parts)], octets)
 
@@ -148,10 +150,6 @@ def _table_memory(table: Table, rows: int) -> _Piece:
             part[0] = 0
         parts[column.number] = part
     return _Piece(whole, parts)
-
-
-def _octets_memory(space: int) -> _Piece:
-    return _Piece(_fresh(space), {})
 
 
 def _fresh(size: int) -> Octets:

@@ -38,18 +38,12 @@ ERRORS_SCHEMA = pa.schema(
         pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
         pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon; null if it cannot be read"}),
         pa.field("payload", pa.uint32(), metadata={"doc": "index of the invalid payload block; null for the header"}),
-        pa.field(
-            "reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "kind of the error, a fixed identifier"}
-        ),
+        pa.field("reason", IDENTIFIER, metadata={"doc": "kind of the error, a fixed identifier"}),
         pa.field("path", pa.string(), metadata={"doc": "path of the field, with indices"}),
         pa.field("offset", pa.int64(), metadata={"doc": "start of the field, in octets from the start of the frame"}),
         pa.field("needed", pa.int64(), metadata={"doc": "required octets, or the correct number"}),
         pa.field("available", pa.int64(), metadata={"doc": "available octets, or the number found"}),
-        pa.field(
-            "requirement",
-            pa.dictionary(pa.int32(), pa.string()),
-            metadata={"doc": "identifier of the violated requirement"},
-        ),
+        pa.field("requirement", IDENTIFIER, metadata={"doc": "identifier of the violated requirement"}),
     ]
 )
 
@@ -141,9 +135,8 @@ class ColumnDecoder:
                 space, stage = max(space, size), self._staging_rows(size)
             if status == POOL_FULL:
                 # Use empty pools, or larger ones if not even one frame fits into empty pools.
-                grow = fresh and not moved
-                self._addresses = self._addresses.grown() if grow else self._addresses.fresh()
-                self._nodes = self._nodes.grown() if grow else self._nodes.fresh()
+                times = 2 if fresh and not moved else 1
+                self._addresses, self._nodes = self._addresses.fresh(times=times), self._nodes.fresh(times=times)
             else:
                 assert status in (DONE, FULL)
             fresh = status == POOL_FULL

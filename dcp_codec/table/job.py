@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,7 +16,7 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
 
-from .decoding import ColumnDecoder, worth_compiling
+from .decoding import Batch, ColumnDecoder, worth_compiling
 from .holdings import read_holdings
 from .input.sources import Recording
 from .kernel.shape import HOLDINGS
@@ -99,17 +99,43 @@ def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
             outcome.notes.append(note)
         outcome.profile = codec.profile.name
         with Recording(job.path) as recording:
-            decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
-            _write(job, recording, decoder, outcome, advance)
+            _write(job, recording, decoder_for(recording, codec, link), outcome, advance)
             outcome.problems += [problem.message for problem in recording.problems]
         if job.tables is not None and HOLDINGS in job.tables:
             _write_holdings(job, codec, link, outcome)
-        if outcome.other == outcome.frames:
-            outcome.link = link
-            outcome.others = {} if job.path == "-" else others(job.path, link)
+        tell_others(outcome, link)
     except CaptureError as error:
         outcome.failure = str(error)
     return outcome
+
+
+def decoder_for(recording: Recording, codec: Codec, link: Link) -> ColumnDecoder:
+    """Return a decoder for a recording: machine code if that saves time."""
+    return ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
+
+
+def batches(
+    recording: Recording,
+    decoder: ColumnDecoder,
+    outcome: Outcome,
+    advance: Advance,
+    enough: Callable[[], bool] = lambda: False,
+) -> Iterator[Batch]:
+    """Yield the rows of a recording, and count its frames in ``outcome``; ``advance`` is called as by :func:`run`.
+
+    After the block at whose end ``enough`` is true no more is read.
+    """
+    position = 0
+    for block in recording.blocks():
+        for batch in decoder.batches(block):
+            outcome.frames += batch.frames
+            outcome.malformed += batch.malformed
+            outcome.other += batch.other
+            yield batch
+        advance(block.position - position)
+        position = block.position
+        if enough():
+            break
 
 
 def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outcome, advance: Advance) -> None:
@@ -122,23 +148,15 @@ def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outc
         writers: dict[str, Writer] = {}
         for name in names:
             path = _path(job, name)
-            path.parent.mkdir(parents=True, exist_ok=True)
             writers[name] = open_writer(job.form, path, schemas[name], executor)
             stack.callback(writers[name].close)
             outcome.files[name] = str(path)
             outcome.rows[name] = 0
-        position = 0
-        for block in recording.blocks():
-            for batch in decoder.batches(block):
-                outcome.frames += batch.frames
-                outcome.malformed += batch.malformed
-                outcome.other += batch.other
-                for name in names:
-                    rows = batch.tables[name]
-                    outcome.rows[name] += rows.num_rows
-                    writers[name].write(rows if job.file is None else with_file(rows, schemas[name], job.file))
-            advance(block.position - position)
-            position = block.position
+        for batch in batches(recording, decoder, outcome, advance):
+            for name in names:
+                rows = batch.tables[name]
+                outcome.rows[name] += rows.num_rows
+                writers[name].write(rows if job.file is None else with_file(rows, schemas[name], job.file))
         for writer in writers.values():
             writer.flush()
 
@@ -146,26 +164,40 @@ def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outc
 def _write_holdings(job: Job, codec: Codec, link: Link, outcome: Outcome) -> None:
     """Read the recording again, and write the states of its ledger."""
     rows = read_holdings(job.path, codec, link)
-    schema = rows.schema if job.file is None else file_schema(rows.schema)
+    if job.file is not None:
+        rows = with_file(rows, file_schema(rows.schema), job.file)
     path = _path(job, HOLDINGS)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    writer = open_writer(job.form, path, schema)
-    writer.write(rows if job.file is None else with_file(rows, schema, job.file))
+    writer = open_writer(job.form, path, rows.schema)
+    writer.write(rows)
     writer.close()
     outcome.files[HOLDINGS], outcome.rows[HOLDINGS] = str(path), rows.num_rows
 
 
 def _path(job: Job, table: str) -> Path:
-    suffix = SUFFIXES[job.form]
-    if job.stem is None:
-        return Path(job.folder) / f"{table}{suffix}"
-    return Path(job.folder) / table / f"{job.stem}{suffix}"
+    """Return the file of a table; its folder exists then."""
+    stem = table if job.stem is None else f"{table}/{job.stem}"
+    path = Path(job.folder) / f"{stem}{SUFFIXES[job.form]}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
-def others(path: str, link: Link) -> dict[str, int]:
-    """Count the frames of a recording without beacons by EtherType, the most frequent first."""
+def size_of(path: str) -> int:
+    """Return the size of a recording in octets; 0 if it cannot be read."""
+    try:
+        return Path(path).stat().st_size
+    except OSError:
+        return 0
+
+
+def tell_others(outcome: Outcome, link: Link) -> None:
+    """Add the assumed link, and the frames by EtherType, the most frequent first, if a recording has no beacons."""
+    if outcome.other < outcome.frames:
+        return
+    outcome.link = link
+    if outcome.path == "-":
+        return
     found: dict[str, int] = {}
-    with open_capture(path) as reader:
+    with open_capture(outcome.path) as reader:
         for frame in reader:
             framing = locate(frame.data, link)
             if isinstance(framing, OtherTraffic):
@@ -173,4 +205,4 @@ def others(path: str, link: Link) -> dict[str, int]:
                 found[kind] = found.get(kind, 0) + 1
             if reader.frames_read >= _EXAMINED:
                 break
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+    outcome.others = dict(sorted(found.items(), key=lambda item: -item[1]))

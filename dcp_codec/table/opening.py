@@ -12,12 +12,12 @@ from dcp_spec.profile.definition import Link
 from dcp_codec.codec import Codec, get_codec
 
 from .archive import find_recordings
-from .decoding import ColumnDecoder, worth_compiling
+from .decoding import ColumnDecoder
 from .input.sources import Recording
-from .job import resolve
+from .job import decoder_for, resolve
 from .kernel.shape import TABLES, table_names
 from .parquet_output import Pile
-from .writing import file_schema, joint_schema, with_file
+from .writing import file_schema, fitted, joint_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 
@@ -53,7 +53,7 @@ class OpenTable:
         """Yield the rows in the order of the recordings, in batches of limited size."""
         for path, codec, link in self._recordings:
             with Recording(path) as recording:
-                decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
+                decoder = decoder_for(recording, codec, link)
                 for block in recording.blocks():
                     for batch in decoder.batches(block):
                         rows = batch.tables[self.name]
@@ -64,14 +64,7 @@ class OpenTable:
     def _fitted(self, rows: pa.RecordBatch, path: str) -> pa.RecordBatch:
         if len(self._recordings) > 1:
             rows = with_file(rows, file_schema(rows.schema), path)
-        if rows.schema.equals(self.schema):
-            return rows
-        names = set(rows.schema.names)
-        arrays = [
-            rows.column(field.name).cast(field.type) if field.name in names else pa.nulls(rows.num_rows, field.type)
-            for field in self.schema
-        ]
-        return pa.RecordBatch.from_arrays(arrays, schema=self.schema)
+        return rows if rows.schema.equals(self.schema) else fitted(rows, self.schema)
 
     def arrow(self) -> pa.Table:
         """Return all rows as an Arrow table."""

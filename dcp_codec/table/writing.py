@@ -133,6 +133,16 @@ def joint_schema(schemas: Sequence[pa.Schema]) -> pa.Schema:
     )
 
 
+def fitted(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """Return a batch with the columns of a joint schema; missing ones are null."""
+    names = set(batch.schema.names)
+    arrays = [
+        batch.column(field.name).cast(field.type) if field.name in names else pa.nulls(batch.num_rows, field.type)
+        for field in schema
+    ]
+    return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+
 def write_database(path: Path, parts: Mapping[str, Sequence[Path]]) -> None:
     """Write a DuckDB database with the tables in ``parts``, which has Parquet files by the name of the table.
 

@@ -294,16 +294,3 @@ def drawn_pool(codec: Codec, rng: random.Random, count: int = 200, recorded: Seq
     from .mutation_values import valid_beacons
 
     return [*valid_beacons(codec, rng, count), *recorded]
-
-
-__all__ = [
-    "FIELD_CLASSES",
-    "STRUCTURE_CLASSES",
-    "Mutation",
-    "Mutator",
-    "Place",
-    "Source",
-    "Touch",
-    "drawn_pool",
-    "generic",
-]

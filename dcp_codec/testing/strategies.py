@@ -25,8 +25,10 @@ from hypothesis import strategies as st
 
 from dcp_codec.codec import Codec
 from dcp_codec.plan.layout import ValueTypes
+from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, VardisRecord
+from dcp_codec.views.encode_diagnosis import bounds
 from dcp_codec.views.fields import Dissection, Field
 
 #: Maximum length of strings and payloads of unknown protocols: longer ones only cost time.
@@ -125,11 +127,6 @@ def _shape(node: Node, types: ValueTypes, counts: tuple[int, int] = (0, LONGEST_
             raise TypeError(f"{type(node).__name__} is drawn with the record around it")
 
 
-def bounds(size: int, *, signed: bool = False) -> tuple[int, int]:
-    """Return the lowest and the highest integer of ``size`` octets."""
-    return (-(1 << (8 * size - 1)) if signed else 0), (1 << (8 * size - signed)) - 1
-
-
 _BINARY = {size: st.binary(min_size=size, max_size=size) for size in range(17)}
 
 
@@ -147,7 +144,7 @@ def _numbers(scalar: Scalar) -> st.SearchStrategy[Any]:
     if scalar.kind == "float":
         usual = st.sampled_from((0.0, -0.0, 1.0, -1.5, float("inf"), float("-inf"), float("nan")))
         return st.one_of(usual, st.floats(width=32 if scalar.size == 4 else 64))
-    low, high = bounds(scalar.size, signed=scalar.signed)
+    low, high = bounds(scalar)
     edges = [0, 1, high - 1, high, *([low, low + 1, -1] if scalar.signed else [])]
     return st.one_of(st.sampled_from(edges), st.integers(low, high))
 
@@ -183,8 +180,7 @@ def _stretched(draw: st.DrawFn, octets: bytes, room: int) -> bytes:
 class _TextShape:
     def __init__(self, text: Text) -> None:
         self.least = sum(prefix.size for prefix in text.prefixes) + text.terminated
-        announced = [bounds(prefix.size)[1] - text.terminated for prefix in text.prefixes]
-        self.longest = min([LONGEST_TEXT, *announced])
+        self.longest = min([LONGEST_TEXT, *(largest(prefix) - text.terminated for prefix in text.prefixes)])
         octets = _NO_NUL if text.terminated else _ANY_OCTETS
         self.values = st.one_of(_UTF8, _UTF8, octets) if text.human else octets
 
@@ -294,7 +290,7 @@ class _GroupShape:
         cap, counts = LARGEST_MESSAGE, (0, LONGEST_LIST)
         for scalar in _scalars(group):
             if scalar.derived is not None and scalar.derived.of.rsplit(".", 1)[-1] == member.name:
-                highest = bounds(scalar.size)[1]
+                highest = largest(scalar)
                 if scalar.derived.kind == "count":
                     counts = (1, highest)
                 else:

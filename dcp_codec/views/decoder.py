@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from itertools import starmap
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from dcp_codec.errors import DecodeError, Problem
 from dcp_codec.plan.layout import (
@@ -32,12 +32,11 @@ Decode = Callable[[bytes, int, int], tuple[Any, int]]
 _LISTS = 256
 
 
-class _Path:
+class _Path(NamedTuple):
     """A field path: a template and the expressions of its indices."""
 
-    def __init__(self, template: str = "", args: tuple[str, ...] = ()) -> None:
-        self.template = template
-        self.args = args
+    template: str = ""
+    args: tuple[str, ...] = ()
 
     def field(self, name: str) -> _Path:
         if not name:
@@ -48,17 +47,16 @@ class _Path:
         return _Path(f"{self.template}[%d]", (*self.args, index))
 
     @property
-    def tuple(self) -> str:
+    def indices(self) -> str:
         return "(" + "".join(f"{arg}, " for arg in self.args) + ")"
 
 
-class _Ref:
+class _Ref(NamedTuple):
     """A decoded scalar that other members refer to: its variable, its start, and its path."""
 
-    def __init__(self, variable: str, offset: str, path: _Path) -> None:
-        self.variable = variable
-        self.offset = offset
-        self.path = path
+    variable: str
+    offset: str
+    path: _Path
 
 
 _Scope = dict[str, Any]
@@ -102,6 +100,20 @@ def _fail(
     return error
 
 
+def branches(source: Source, key: str, node: Select) -> Iterator[Node | None]:
+    """Emit the branches of a choice by the variable ``key``; yield the content of each while its block is open.
+
+    The last one is for all other numbers: None if the choice has no content for them.
+    """
+    keyword = "if"
+    for number, case in node.cases.items():
+        with source.block(f"{keyword} {key} == {number}:"):
+            yield case
+        keyword = "elif"
+    with source.block("else:" if node.cases else "if True:"):
+        yield node.default
+
+
 class _Generator:
     def __init__(self, plan: Node, types: ValueTypes) -> None:
         self.types = types
@@ -125,11 +137,15 @@ class _Generator:
         maker = self.source.constant(
             "fail", _fail(path.template, reason, requirement), (path.template, reason, requirement)
         )
-        self.source.add(f"raise {maker}({offset}, {needed}, {available}, {path.tuple}, {self.partial})")
+        self.source.add(f"raise {maker}({offset}, {needed}, {available}, {path.indices}, {self.partial})")
+
+    def fail_of(self, ref: _Ref, reason: str, requirement: str | None, needed: str, available: str) -> None:
+        """Emit the report of a problem of a field that another member refers to."""
+        self.fail(reason, requirement, ref.path, ref.offset, needed, available)
 
     def short(self, run: list[tuple[Scalar, _Path]], start: str, end: str) -> None:
         table = self.source.constant("run", tuple((scalar, path.template) for scalar, path in run))
-        self.source.add(f"short_run({table}, b, {start}, {end}, {run[0][1].tuple}, {self.partial})")
+        self.source.add(f"short_run({table}, b, {start}, {end}, {run[0][1].indices}, {self.partial})")
 
     # -- scalars --------------------------------------------------------------------------------------------
 
@@ -180,7 +196,7 @@ class _Generator:
         first = lengths[0]
         for other in lengths[1:]:
             with source.block(f"if {other.variable} != {first.variable}:"):
-                self.fail("length-mismatch", "DATA-06", other.path, other.offset, first.variable, other.variable)
+                self.fail_of(other, "length-mismatch", "DATA-06", first.variable, other.variable)
         stop = source.fresh("p")
         source.add(f"{stop} = o + {first.variable}")
         with source.block(f"if {stop} > {end}:"):
@@ -298,7 +314,7 @@ class _Generator:
     def fill(self, node: Fill, path: _Path, end: str, scope: _Scope) -> str:
         source, used = self.source, _resolve(scope, node.used)
         with source.block(f"if {used.variable} > {node.total}:"):
-            self.fail(node.reason, node.requirement, used.path, used.offset, used.variable, str(node.total))
+            self.fail_of(used, node.reason, node.requirement, used.variable, str(node.total))
         variable, stop = source.fresh(), source.fresh("p")
         source.add(f"{stop} = o + {node.total} - {used.variable}")
         with source.block(f"if {stop} > {end}:"):
@@ -316,7 +332,7 @@ class _Generator:
         source, length, stop = self.source, _resolve(scope, node.length), self.source.fresh("r")
         source.add(f"{stop} = o + {length.variable}")
         with source.block(f"if {stop} > {end}:"):
-            self.fail(node.reason, node.requirement, length.path, length.offset, length.variable, f"{end} - o")
+            self.fail_of(length, node.reason, node.requirement, length.variable, f"{end} - o")
         if isinstance(node.content, Select):
             return self.select(node.content, path, stop, scope, filling=node)
         return self.filling(node, node.content, path, stop, scope)
@@ -337,16 +353,11 @@ class _Generator:
             return self.filling(filling, case, path, end, scope) if filling else self.node(case, path, end, scope)
 
         source, key, variable = self.source, _resolve(scope, node.key), self.source.fresh()
-        keyword = "if"
-        for number, case in node.cases.items():
-            with source.block(f"{keyword} {key.variable} == {number}:"):
-                source.add(f"{variable} = {read(case)}")
-            keyword = "elif"
-        with source.block("else:") if node.cases else source.block("if True:"):
-            if node.default is None:
-                self.fail(node.reason, node.requirement, key.path, key.offset, "None", key.variable)
+        for case in branches(source, key.variable, node):
+            if case is None:
+                self.fail_of(key, node.reason, node.requirement, "None", key.variable)
             else:
-                source.add(f"{variable} = {read(node.default)}")
+                source.add(f"{variable} = {read(case)}")
         return variable
 
     def many(self, node: Many, path: _Path, end: str, scope: _Scope) -> str:
@@ -368,14 +379,7 @@ class _Generator:
         if node.agrees:
             announced = _resolve(scope, node.agrees)
             with source.block(f"if {announced.variable} != len({items}):"):
-                self.fail(
-                    node.reason,
-                    node.requirement,
-                    announced.path,
-                    announced.offset,
-                    announced.variable,
-                    f"len({items})",
-                )
+                self.fail_of(announced, node.reason, node.requirement, announced.variable, f"len({items})")
         return f"tuple({items})"
 
     def bulk(self, node: Many, path: _Path, end: str, count: str | None) -> str | None:

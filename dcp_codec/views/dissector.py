@@ -23,6 +23,7 @@ from dcp_codec.plan.layout import broken, joins, read_run, read_scalar
 from dcp_codec.plan.source import Source
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
+from .decoder import branches
 from .fields import Dissection, Field, Place, path_of
 
 Dissect = Callable[[bytes, int, int], Dissection]
@@ -347,17 +348,12 @@ class _Part:
 
     def select(self, node: Select, at: str, scope: _Scope) -> str:
         source, key, chosen = self.source, scope[node.key], self.source.fresh("f")
-        keyword = "if"
-        for number, case in node.cases.items():
-            with source.block(f"{keyword} {key.value} == {number}:"):
-                source.add(f"{chosen} = {self.node(case, at, scope)}")
-            keyword = "elif"
-        with source.block("else:" if node.cases else "if True:"):
-            if node.default is None:
+        for case in branches(source, key.value, node):
+            if case is None:
                 self.fault_of(key, node.reason, node.requirement, "None", key.value)
                 self.stop(self.field(Rest("data"), at, "o", "e - o", "b[o:e]"))
             else:
-                source.add(f"{chosen} = {self.node(node.default, at, scope)}")
+                source.add(f"{chosen} = {self.node(case, at, scope)}")
         return chosen
 
     def fill(self, node: Fill, at: str, scope: _Scope) -> str:

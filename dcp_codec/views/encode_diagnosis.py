@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from dcp_codec.errors import EncodeError
 from dcp_codec.plan.layout import ValueTypes
+from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 
@@ -103,7 +104,7 @@ class _Explainer:
         elif scalar.kind == "int":
             if not isinstance(value, int):
                 raise EncodeError(path, f"needs an integer, not {type(value).__name__}")
-            low, high = _bounds(scalar)
+            low, high = bounds(scalar)
             if not low <= value <= high:
                 raise EncodeError(path, f"{value} is not in {low}..{high}")
         elif not isinstance(value, int | float):
@@ -120,7 +121,7 @@ class _Explainer:
         if text.terminated and 0 in value:
             raise EncodeError(path, "must not hold a NUL octet, which ends it")
         for prefix in text.prefixes:
-            room = _bounds(prefix)[1]
+            room = largest(prefix)
             if size > room:
                 raise EncodeError(path, f"{len(value)} octets, at most {room - text.terminated} can be announced")
         return size + sum(prefix.size for prefix in text.prefixes)
@@ -185,7 +186,7 @@ class _Explainer:
         """Check that a length or count, in this record or in one inside it, can express the actual number."""
         assert scalar.derived is not None
         found, what = (size, "octets") if scalar.derived.kind == "size" else (len(value), "elements")
-        low, high = int(scalar.rule is not None), _bounds(scalar)[1]
+        low, high = int(scalar.rule is not None), largest(scalar)
         if not low <= found <= high:
             raise EncodeError(path, f"{found} {what}, needs {low}..{high} for {scalar.name}")
 
@@ -216,7 +217,7 @@ class _Explainer:
         return size
 
 
-def _bounds(scalar: Scalar) -> tuple[int, int]:
+def bounds(scalar: Scalar) -> tuple[int, int]:
     """Return the lowest and the highest value of an integer."""
-    low = -(1 << (8 * scalar.size - 1)) if scalar.signed else 0
-    return low, (1 << (8 * scalar.size - scalar.signed)) - 1
+    high = largest(scalar)
+    return (-high - 1 if scalar.signed else 0), high

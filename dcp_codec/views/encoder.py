@@ -18,6 +18,7 @@ from dcp_codec.plan.source import Source
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from dcp_codec.values import VALUE_CLASSES
 
+from .decoder import branches
 from .encode_diagnosis import explain, measured, zero
 
 Encode = Callable[[Any], bytes]
@@ -270,16 +271,11 @@ class _Generator:
                 raise TypeError(f"{type(node).__name__} is not a structural member")
 
     def _choose(self, node: Select, scope: _Scope, case: Callable[[Node], None]) -> None:
-        keyword = "if"
-        for number, content in node.cases.items():
-            with self.source.block(f"{keyword} {scope.keys[node.key]} == {number}:"):
-                case(content)
-            keyword = "elif"
-        with self.source.block("else:" if node.cases else "if True:"):
-            if node.default is None:
+        for content in branches(self.source, scope.keys[node.key], node):
+            if content is None:
                 self.source.add("raise ValueError")
             else:
-                case(node.default)
+                case(content)
 
     def many(self, node: Many, items: str, scope: _Scope, out: _Out) -> None:
         """Emit the encoding of a list, record by record: measured to be faster than bulk conversion for usual lists."""

@@ -6,6 +6,7 @@ The function that :mod:`dcp_codec.views.dissector` generates from a plan builds 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -93,6 +94,7 @@ class Field(msgspec.Struct, eq=False, gc=False):
         return f"<{self.path or self.name} at {self.offset}+{self.length} = {self.value!r}>"
 
 
+@dataclass(slots=True, eq=False)
 class Dissection:
     """Result of a dissection: ``root``, ``problems`` in the order of the layout, and ``padding`` after the message.
 
@@ -100,14 +102,11 @@ class Dissection:
     :mod:`dcp_codec.views.lint`.
     """
 
-    __slots__ = ("doubtful", "end", "padding", "problems", "root")
-
-    def __init__(self, root: Field, problems: list[Problem], end: int, padding: bytes, doubtful: list[Field]) -> None:
-        self.root = root
-        self.problems = problems
-        self.end = end
-        self.padding = padding
-        self.doubtful = doubtful
+    root: Field
+    problems: list[Problem]
+    end: int
+    padding: bytes
+    doubtful: list[Field]
 
     @property
     def errors(self) -> list[Problem]:

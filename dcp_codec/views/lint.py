@@ -17,11 +17,6 @@ def _warning(
     return Problem(reason, field.path, field.offset, needed, available, requirement, "warning")
 
 
-def _value_of(record: Field, name: str) -> object:
-    field = record.child(name)
-    return None if field is None else field.value
-
-
 def _payload(record: Field) -> Iterator[Problem]:
     length = record.child("length")
     if length is not None and length.value == 0:
@@ -108,12 +103,12 @@ def warnings(dissection: Dissection) -> list[Problem]:
     """Return every warning about a message that was dissected with :data:`DOUBTS`, in wire order."""
     found: list[Problem] = []
     header = dissection.root.child("bp")
-    sender = _value_of(header, "senderId") if header is not None else None
+    sender = header.child("senderId") if header is not None else None
     # A record is listed after the records inside it, which may have the same start.
     records = dissection.doubtful[::-1]
     records.sort(key=lambda each: each.offset)
     for record in records:
         assert isinstance(record.layout, Group)
         rule = _RULES.get(record.layout.type_name)
-        found.extend(_report(record, sender) if rule is None else rule(record))
+        found.extend(_report(record, None if sender is None else sender.value) if rule is None else rule(record))
     return found

@@ -7,7 +7,7 @@ specification does not state are not invented; a comment marks the two that foll
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -117,7 +117,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     protocol: Literal["BP", "SRP", "VD"]
-    type: Literal["integer", "duration", "bytes"]
+    type: Literal["integer", "duration", "bytes"] = "integer"
     """A duration may have a fraction, an integer may not; bytes are an identifier."""
     unit: Literal["bytes", "ms", "records", "repetitions", "none"]
     requirement: str
@@ -189,10 +189,11 @@ def _largest_unsigned(width: int) -> int:
     return (1 << (8 * width)) - 1
 
 
+_bp, _srp, _vardis = (partial(Parameter, protocol=protocol) for protocol in ("BP", "SRP", "VD"))
+
 _BP: Final = (
-    Parameter(
+    _bp(
         name="BPPAR_BEACON_PERIOD",
-        protocol="BP",
         type="duration",
         unit="ms",  # The specification leaves unit and resolution open; this code base counts milliseconds.
         requirement="BP-PAR-03",
@@ -202,10 +203,8 @@ _BP: Final = (
         default=lambda _: 100,
         default_since=_V.V1_1,
     ),
-    Parameter(
+    _bp(
         name="BPPAR_MAXIMUM_PACKET_SIZE",
-        protocol="BP",
-        type="integer",
         unit="bytes",
         requirement="BP-PAR-04",
         meaning="Largest bearer payload, BP header included.",
@@ -220,10 +219,8 @@ _BP: Final = (
         ),
         default=lambda sizes: sizes.uwb_max_packet_size,
     ),
-    Parameter(
+    _bp(
         name="BPPAR_NETWORK_ID",
-        protocol="BP",
-        type="integer",
         unit="none",
         requirement="BP-PAR-05",
         meaning="Network that the node belongs to; beacons of others are discarded.",
@@ -233,30 +230,25 @@ _BP: Final = (
         ),
         since=_V.V2_0,
     ),
-    Parameter(
+    _bp(
         name="UWB-MaxPacketSize",
-        protocol="BP",
-        type="integer",
         unit="bytes",
         requirement="UWB-03",
         meaning="Maximum packet size of the bearer, read during initialization (BP-PAR-08).",
         bounds=(_at_least(UWB_MIN_MTU, _V.V1_1),),
         configurable=False,
     ),
-    Parameter(
+    _bp(
         name="ownNodeIdentifier",
-        protocol="BP",
         type="bytes",
         unit="bytes",
         requirement="BP-PAR-09",
         meaning="Identifier of the node, determined during initialization.",
         configurable=False,
     ),
-    Parameter(
+    _bp(
         # The specification speaks of the "protocol type" of the LLC header and has no name for the value.
         name="protocol type",
-        protocol="BP",
-        type="integer",
         unit="none",
         requirement="BP-PAR-10",
         meaning="EtherType by which the bearer tells BP packets from others.",
@@ -268,9 +260,8 @@ _BP: Final = (
 )
 
 _SRP: Final = (
-    Parameter(
+    _srp(
         name="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT",
-        protocol="SRP",
         type="duration",
         unit="ms",
         requirement="SRP-PAR-01",
@@ -282,10 +273,8 @@ _SRP: Final = (
 )
 
 _VARDIS: Final = (
-    Parameter(
+    _vardis(
         name="VARDISPAR_MAX_VALUE_LENGTH",
-        protocol="VD",
-        type="integer",
         unit="bytes",
         requirement="VD-PAR-02",
         meaning="Longest value of a variable.",
@@ -300,10 +289,8 @@ _VARDIS: Final = (
         ),
         default=lambda _: 32,
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_MAX_DESCRIPTION_LENGTH",
-        protocol="VD",
-        type="integer",
         unit="bytes",
         requirement="VD-PAR-03",
         meaning="Longest description of a variable.",
@@ -316,20 +303,16 @@ _VARDIS: Final = (
         ),
         default=lambda _: 32,
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_MAX_REPETITIONS",
-        protocol="VD",
-        type="integer",
         unit="repetitions",
         requirement="VD-PAR-04",
         meaning="Largest repetition count of a variable.",
         ##= VD-PAR-10
         bounds=(_at_least(1), _at_most(15, not_in=(_V.V1_1,))),
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_MAX_PAYLOAD_SIZE",
-        protocol="VD",
-        type="integer",
         unit="bytes",
         requirement="VD-PAR-05",
         meaning="Largest payload that VarDis hands to BP.",
@@ -342,10 +325,8 @@ _VARDIS: Final = (
             ),
         ),
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_MAX_SUMMARIES",
-        protocol="VD",
-        type="integer",
         unit="records",
         requirement="VD-PAR-06",
         meaning="Most summaries in a payload, 0 for none.",
@@ -358,20 +339,16 @@ _VARDIS: Final = (
             ),
         ),
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_SCRUBBING_PERIOD",
-        protocol="VD",
-        type="integer",
         unit="ms",
         requirement="VD-PAR-07",
         meaning="Time between two runs of the scrubbing process.",
         bounds=(_at_least(1), _at_most(65000)),
         since=_V.V2_0,
     ),
-    Parameter(
+    _vardis(
         name="VARDISPAR_BUFFER_CHECK_PERIOD",
-        protocol="VD",
-        type="integer",
         unit="ms",  # A period without unit up to 1.1.
         requirement="VD-PAR-08",
         meaning="Time between two queries of the number of payloads that BP holds for VarDis.",

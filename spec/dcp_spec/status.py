@@ -31,10 +31,10 @@ class StatusCode(StrEnum):
     def __new__(
         cls,
         spelling: str,
-        since: SpecVersion,
-        until: SpecVersion | None,
         cpp: int | None,
         meaning: str,
+        since: SpecVersion = _V.V1_0,
+        until: SpecVersion | None = None,
     ) -> Self:
         member = str.__new__(cls, spelling)
         member._value_ = spelling
@@ -51,8 +51,7 @@ class StatusCode(StrEnum):
 
     def holds_in(self, version: SpecVersion | str) -> bool:
         """Whether `version` has the code. Raises ValueError for a version that does not exist."""
-        version = SpecVersion(version)
-        return version >= self.since and (self.until is None or version <= self.until)
+        return SpecVersion(version).is_within(self.since, self.until)
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -74,140 +73,92 @@ class StatusCode(StrEnum):
 class BPStatus(StatusCode):
     """Status codes of BP (dcp-bp.md: Service Interface)."""
 
-    OK = "BP-STATUS-OK", _V.V1_0, None, 0x1000, "The request was carried out."
+    OK = ("BP-STATUS-OK", 0x1000, "The request was carried out.")
     PROTOCOL_ALREADY_REGISTERED = (
         "BP-STATUS-PROTOCOL-ALREADY-REGISTERED",
-        _V.V1_0,
-        None,
         0x1001,
         "A client protocol is registered under this identifier.",
     )
     ILLEGAL_MAX_PAYLOAD_SIZE = (
         "BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
-        _V.V1_0,
-        None,
         0x1002,
         "The maximum payload size of a registration is not positive or fits into no beacon.",
     )
-    UNKNOWN_PROTOCOL = (
-        "BP-STATUS-UNKNOWN-PROTOCOL",
-        _V.V1_0,
-        None,
-        0x1003,
-        "No client protocol is registered under this identifier.",
-    )
+    UNKNOWN_PROTOCOL = ("BP-STATUS-UNKNOWN-PROTOCOL", 0x1003, "No client protocol is registered under this identifier.")
     PAYLOAD_TOO_LARGE = (
         "BP-STATUS-PAYLOAD-TOO-LARGE",
-        _V.V1_0,
-        None,
         0x1004,
         "The payload is longer than the maximum of its registration.",
     )
-    EMPTY_PAYLOAD = ("BP-STATUS-EMPTY-PAYLOAD", _V.V1_0, None, 0x1005, "The payload has no bytes.")
+    EMPTY_PAYLOAD = ("BP-STATUS-EMPTY-PAYLOAD", 0x1005, "The payload has no bytes.")
     ILLEGAL_DROPPING_QUEUE_SIZE = (
         "BP-STATUS-ILLEGAL-DROPPING-QUEUE-SIZE",
-        _V.V1_1,
-        None,
         0x1006,
         "The registration asks for a queue without places.",
+        _V.V1_1,
     )
     UNKNOWN_QUEUEING_MODE = (
         "BP-STATUS-UNKNOWN-QUEUEING-MODE",
-        _V.V1_1,
-        None,
         0x1007,
         "The queueing mode is not one of the defined modes.",
+        _V.V1_1,
     )
 
 
 class SRPStatus(StatusCode):
     """Status codes of SRP (dcp-srp.md: Service Interface)."""
 
-    OK = "SRP-STATUS-OK", _V.V1_0, None, 0x3000, "The safety data were accepted for transmission."
-    INACTIVE = (
-        "SRP-STATUS-INACTIVE",
-        _V.V1_0,
-        None,
-        None,
-        "SRP is not registered with BP.",
-    )
+    OK = ("SRP-STATUS-OK", 0x3000, "The safety data were accepted for transmission.")
+    INACTIVE = ("SRP-STATUS-INACTIVE", None, "SRP is not registered with BP.")
 
 
 class VardisStatus(StatusCode):
     """Status codes of VarDis (dcp-vardis.md#vardis-application-service-interface)."""
 
-    OK = "VARDIS-STATUS-OK", _V.V1_0, None, 0x2000, "The request was carried out on this node."
+    OK = ("VARDIS-STATUS-OK", 0x2000, "The request was carried out on this node.")
     VARIABLE_EXISTS = (
         "VARDIS-STATUS-VARIABLE-EXISTS",
-        _V.V1_0,
-        None,
         0x2001,
         "The database has a variable with this identifier (since 2.0: of another producer).",
     )
     VARIABLE_DESCRIPTION_TOO_LONG = (
         "VARDIS-STATUS-VARIABLE-DESCRIPTION-TOO-LONG",
-        _V.V1_0,
-        None,
         0x2002,
         "The description is longer than VARDISPAR_MAX_DESCRIPTION_LENGTH.",
     )
-    VALUE_TOO_LONG = (
-        "VARDIS-STATUS-VALUE-TOO-LONG",
-        _V.V1_0,
-        None,
-        0x2003,
-        "The value is longer than VARDISPAR_MAX_VALUE_LENGTH.",
-    )
-    EMPTY_VALUE = ("VARDIS-STATUS-EMPTY-VALUE", _V.V1_1, None, 0x2004, "The value has no bytes.")
+    VALUE_TOO_LONG = ("VARDIS-STATUS-VALUE-TOO-LONG", 0x2003, "The value is longer than VARDISPAR_MAX_VALUE_LENGTH.")
+    EMPTY_VALUE = ("VARDIS-STATUS-EMPTY-VALUE", 0x2004, "The value has no bytes.", _V.V1_1)
     INVALID_VALUE = (
         "VARDIS-STATUS-INVALID-VALUE",
-        _V.V1_0,
-        _V.V1_0,
         None,
         "The value has no bytes; named EMPTY-VALUE since 1.1.",
+        _V.V1_0,
+        _V.V1_0,
     )
     ILLEGAL_REPCOUNT = (
         "VARDIS-STATUS-ILLEGAL-REPCOUNT",
-        _V.V1_0,
-        None,
         0x2005,
         "The repetition count is 0 or above VARDISPAR_MAX_REPETITIONS.",
     )
     VARIABLE_DOES_NOT_EXIST = (
         "VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST",
-        _V.V1_0,
-        None,
         0x2006,
         "The database has no variable with this identifier.",
     )
     NOT_PRODUCER = (
         "VARDIS-STATUS-NOT-PRODUCER",
-        _V.V1_0,
-        None,
         0x2007,
         "The variable has another producer, which alone may change it.",
     )
-    VARIABLE_IS_DELETED = (
-        "VARDIS-STATUS-VARIABLE-IS-DELETED",
-        _V.V2_0,
-        None,
-        0x2008,
-        "The variable is marked as deleted.",
-    )
+    VARIABLE_IS_DELETED = ("VARDIS-STATUS-VARIABLE-IS-DELETED", 0x2008, "The variable is marked as deleted.", _V.V2_0)
     VARIABLE_BEING_DELETED = (
         "VARDIS-STATUS-VARIABLE-BEING-DELETED",
-        _V.V1_0,
-        _V.V1_3,
         0x2008,
         "The variable is marked for deletion and leaves the database later; named IS-DELETED since 2.0.",
-    )
-    INACTIVE = (
-        "VARDIS-STATUS-INACTIVE",
         _V.V1_0,
-        None,
-        0x2009,
-        "VarDis is not active, or not registered with BP.",
+        _V.V1_3,
     )
+    INACTIVE = ("VARDIS-STATUS-INACTIVE", 0x2009, "VarDis is not active, or not registered with BP.")
 
     def in_version(self, version: SpecVersion | str) -> "VardisStatus":
         """The code that `version` returns in the same situation: two codes were renamed over time."""

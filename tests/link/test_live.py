@@ -23,12 +23,12 @@ pytestmark = pytest.mark.tool("ip")
 
 LISTEN = """
 import json, signal, sys, threading
-from dcp_codec.network.live import LiveError, open_live
+from dcp_codec.network.live import LiveError, LiveReader
 from dcp_spec.profile.definition import Link
 
 link = json.loads(sys.argv[2])
 try:
-    reader = open_live(sys.argv[1], None if link is None else Link(**link))
+    reader = LiveReader(sys.argv[1], None if link is None else Link(**link))
 except LiveError as error:
     print(json.dumps({"error": str(error)}))
     sys.exit(0)
@@ -245,11 +245,11 @@ def test_closing(namespace: Any) -> None:
         """
 import gc, os, threading, warnings
 warnings.simplefilter("error")
-from dcp_codec.network.live import open_live
-open_live("near", None).close()
+from dcp_codec.network.live import LiveReader
+LiveReader("near", None).close()
 before = len(os.listdir("/proc/self/fd"))
 for when in ("before", "while", "never read"):
-    reader = open_live("near", None)
+    reader = LiveReader("near", None)
     with reader:
         if when == "before":
             reader.close()

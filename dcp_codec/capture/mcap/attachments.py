@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from dcp_codec.capture.bytesource import READ_SIZE, ByteSource, open_source
+from dcp_codec.capture.bytesource import READ_SIZE, ByteSource, explain, open_source
 from dcp_codec.capture.frame import CaptureError
 
 from .index import read_index
@@ -98,8 +98,7 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
             raise CaptureError(f"{path}: the attachment {attachment.name!r} does not match its checksum")
         part.replace(target)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise CaptureError(f"{target}: cannot be written: {reason}") from error
+        raise CaptureError(f"{target}: cannot be written: {explain(error)}") from error
     finally:
         source.close()
         with suppress(OSError):

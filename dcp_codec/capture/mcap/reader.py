@@ -153,11 +153,10 @@ class McapReader(CaptureReader):
         if have or self._source.failure:
             self._cut("truncated-header", offset, RECORD_HEAD.size, have, "the header of a record")
         else:
-            self._log.add(
+            self._note(
                 "unfinished",
                 f"the file ends at octet {offset} without the footer of a finished MCAP file; {self._so_far()}.",
                 offset,
-                frame=self._number,
             )
         raise _End
 
@@ -176,11 +175,10 @@ class McapReader(CaptureReader):
         elif magic != MAGIC:
             self._damaged("bad-record", end, f"{magic.hex(' ')} instead of the mark at the end of the file")
         elif source.need(1):
-            self._log.add(
+            self._note(
                 "trailing-data",
                 f"something follows the end of the MCAP file at octet {source.position}; {self._so_far()}.",
                 source.position,
-                frame=self._number,
             )
         raise _End
 
@@ -191,36 +189,32 @@ class McapReader(CaptureReader):
             return
         expected = layout.unpack_from(content)[-1]
         if expected and expected != actual:
-            self._log.add(
+            self._note(
                 "bad-crc",
                 f"the {what} that ends at octet {offset} does not match its checksum: some of its "
                 f"octets are damaged; {self._so_far()}.",
                 offset,
-                frame=self._number,
             )
 
     def _pass_over(self, opcode: int, offset: int, length: int) -> None:
         if opcode == Opcode.CHUNK or opcode in _READ:
-            self._log.count(
-                "too-large",
+            self._tally(
                 "too-large",
                 lambda times: (
                     f"{counted(times, 'record')} too large to be read passed over, the first at octet "
                     f"{offset} with {length} octets."
                 ),
                 offset,
-                self._number,
             )
         elif opcode not in _KNOWN and opcode < _FIRST_PRIVATE:
-            self._log.count(
-                ("unknown-record", opcode),
+            self._tally(
                 "unknown-record",
                 lambda times: (
                     f"{counted(times, 'record')} of the unknown type {opcode:#04x}, the first at octet "
                     f"{offset}, passed over."
                 ),
                 offset,
-                self._number,
+                of=opcode,
             )
         left = length
         while left:
@@ -251,12 +245,11 @@ class McapReader(CaptureReader):
         if self._index is not None and self._index.attachments and self._frames_read == self._number:
             original = read_original(self._source.name, self._index, self._link_types, self._number)
             if original is not None:
-                self._log.add(
+                self._note(
                     error.reason,
                     f"the chunk at octet {offset} {error}: it and the rest are read from the original file that is "
                     f"attached ({original.name}); {self._so_far()}.",
                     offset,
-                    frame=self._number,
                 )
                 for frame in original.frames:
                     self._number = frame.number
@@ -271,15 +264,13 @@ class McapReader(CaptureReader):
         yield from self._inside(chunk.records, where, whole=False)
         read = self._frames_read - before
         what = f"{counted(read, 'frame')} of it read all the same" if read else "passed over"
-        self._log.count(
-            error.reason,
+        self._tally(
             error.reason,
             lambda times, why=str(error): (
                 f"{counted(times, 'chunk')} damaged, the first at octet "  # type: ignore[misc]
                 f"{offset} with {length} octets: it {why}; {what}."
             ),
             offset,
-            self._number,
         )
 
     def _given(self, frame: Frame) -> Iterator[Frame]:
@@ -303,12 +294,11 @@ class McapReader(CaptureReader):
         places = [each for each in self._index.chunks if each.offset >= offset] if self._index is not None else []
         if not places:
             return
-        self._log.add(
+        self._note(
             "bad-record",
             f"the record at octet {offset} is damaged; {counted(len(places), 'chunk')} after it read by the index at "
             f"the end of the file; {self._so_far()}.",
             offset,
-            frame=self._number,
         )
         for place in places:
             content = read_record(self._source.name, place)
@@ -406,36 +396,31 @@ class McapReader(CaptureReader):
     # Problems of single records. They are counted and never end the reading.
 
     def _bad_record(self, offset: int, why: str) -> None:
-        self._log.count(
-            "bad-record",
+        self._tally(
             "bad-record",
             lambda times: f"{counted(times, 'record')} damaged and passed over, the first {_place(offset)} ({why}).",
             offset,
-            self._number,
         )
 
     def _bad_message(self, error: Exception, offset: int) -> None:
-        self._log.count(
-            "bad-message",
+        self._tally(
             "bad-message",
             lambda times: (
                 f"{counted(times, 'message')} that should be raw frames passed over, the first "
                 f"{_place(offset)} ({error})."
             ),
             offset,
-            self._number,
         )
 
     def _wrong_link_type(self, link_type: int, offset: int) -> None:
-        self._log.count(
-            ("wrong-link-type", link_type),
+        self._tally(
             "wrong-link-type",
             lambda times: (
                 f"{counted(times, 'frame')} passed over, the first {_place(offset)}: the link type is "
                 f"{link_type_name(link_type)}."
             ),
             offset,
-            self._number,
+            of=link_type,
         )
 
 

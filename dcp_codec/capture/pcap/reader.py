@@ -118,21 +118,19 @@ class PcapReader(CaptureReader):
             start = stop
 
     def _too_long(self, offset: int, captured: int, limit: int) -> None:
-        self._log.add(
+        self._note(
             "bad-record-length",
             f"record {self._number + 1} at octet {offset} claims {captured} octets, more than the {limit} "
             f"that a frame of this file can have, so the file is damaged there; {self._so_far()}.",
             offset,
             needed=captured,
             available=limit,
-            frame=self._number,
         )
 
     def _zero_filled(self, offset: int) -> None:
-        self._log.add(
+        self._note(
             "zero-filled",
             f"there are only zeros at octet {offset}, where record {self._number + 1} should start, "
             f"as after a power cut; {self._so_far()}.",
             offset,
-            frame=self._number,
         )

@@ -28,15 +28,16 @@ SKIPPED = frozenset(
     }
 )
 
-#: Minimum total length of the blocks whose contents are read.
-LEAST_LENGTH = {
-    SECTION_HEADER: 28,
-    INTERFACE: 20,
-    PACKET: 32,
-    SIMPLE_PACKET: 16,
-    STATISTICS: 24,
-    ENHANCED_PACKET: 32,
+#: Minimum total length of the blocks whose contents are read, and their names.
+_READ = {
+    SECTION_HEADER: (28, "a section header"),
+    INTERFACE: (20, "the description of an interface"),
+    PACKET: (32, "a packet block"),
+    SIMPLE_PACKET: (16, "a simple packet block"),
+    STATISTICS: (24, "a statistics block"),
+    ENHANCED_PACKET: (32, "an enhanced packet block"),
 }
+LEAST_LENGTH = {kind: least for kind, (least, _) in _READ.items()}
 
 #: The byte-order magic of a section header, as in the file -> byte order for struct.
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
@@ -50,19 +51,9 @@ _NANO = 1_000_000_000
 _UNITS = {0: "s", 3: "ms", 6: "us", 9: "ns"}
 
 
-_NAMES = {
-    SECTION_HEADER: "a section header",
-    INTERFACE: "the description of an interface",
-    PACKET: "a packet block",
-    SIMPLE_PACKET: "a simple packet block",
-    STATISTICS: "a statistics block",
-    ENHANCED_PACKET: "an enhanced packet block",
-}
-
-
 def block_name(kind: int) -> str:
     """Return the name of a block type for messages."""
-    return _NAMES.get(kind, f"a block of type {kind:#010x}")
+    return _READ[kind][1] if kind in _READ else f"a block of type {kind:#010x}"
 
 
 class BadOptionError(Exception):

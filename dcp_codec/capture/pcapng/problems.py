@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable
 
-from dcp_codec.capture.frame import Reason
 from dcp_codec.capture.linktypes import link_type_name
-from dcp_codec.capture.reader import Describe, ProblemLog, counted
+from dcp_codec.capture.reader import counted
 
 from .blocks import BadOptionError, Interface
+
+#: Function that counts a problem, such as :meth:`dcp_codec.capture.reader.CaptureReader._tally`.
+Count = Callable[..., None]
 
 
 class BlockProblems:
     """Records problems; arguments are the offset of the block and the number of the last frame before it."""
 
-    def __init__(self, log: ProblemLog) -> None:
-        self._log = log
+    def __init__(self, count: Count) -> None:
+        self._count = count
 
     def unknown_block(self, kind: int, offset: int, frame: int) -> None:
         """Record a block type that the format's registry does not list."""
@@ -101,7 +103,3 @@ class BlockProblems:
             offset,
             frame,
         )
-
-    def _count(self, reason: Reason, describe: Describe, offset: int, frame: int, of: Hashable = None) -> None:
-        """Count a problem; those with the same ``reason`` and ``of`` are reported as one."""
-        self._log.count(reason if of is None else (reason, of), reason, describe, offset, frame)

@@ -56,7 +56,7 @@ class PcapngReader(CaptureReader):
 
     def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
         super().__init__(source, link_types)
-        self._block_problems = BlockProblems(self._log)
+        self._block_problems = BlockProblems(self._tally)
         self._order = "<"
         self._sections = 0
         self._interface_count = 0

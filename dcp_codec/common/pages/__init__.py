@@ -47,6 +47,3 @@ def render(package: str, template: str, *scripts: str, **values: Any) -> str:
 def text(package: str, name: str) -> str:
     """Return a file in the folder ``templates`` of a package."""
     return resources.files(package).joinpath("templates", name).read_text(encoding="utf-8")
-
-
-__all__ = ["render", "text"]

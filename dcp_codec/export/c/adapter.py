@@ -12,13 +12,13 @@ from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
 from dcp_codec.export.shape import shape_of
-from dcp_codec.export.wording import snake_name
+from dcp_codec.export.wording import constant, snake_name
 from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Group, Scalar
 
-from .files import template
+from .files import filled, header_file, template
 from .header import heading
-from .names import comment, constant, member_name, value_type
+from .names import comment, member_name, value_type
 
 _TYPES = {
     "INTEGER": "int64_t",
@@ -37,18 +37,17 @@ def adapter_files(codec: Codec) -> dict[str, str]:
     """Return ``dcp_adapter.h`` and ``dcp_adapter.c`` for a profile."""
     contract = _Contract(codec)
     first = heading(codec.profile, __version__, " --adapter")
-    header = template("adapter.h")
-    for mark, text in {
-        "@TYPES@": contract.types(),
-        "@SAFETY_DECLARATION@": contract.safety_declaration(),
-        "@NOTIFICATION_DECLARATIONS@": "\n".join(f"{each};" for each in contract.notification_signatures()),
-    }.items():
-        header = header.replace(mark, text)
+    marks = {
+        "TYPES": contract.types(),
+        "SAFETY_DECLARATION": contract.safety_declaration(),
+        "NOTIFICATION_DECLARATIONS": "\n".join(f"{each};" for each in contract.notification_signatures()),
+    }
+    header = filled(template("adapter.h"), marks).rstrip()
     source = template("adapter.c")
     source = source.replace("@SAFETY@\n", contract.safety()).replace("@DISPATCH@", contract.dispatch())
     source += "\n" + contract.statuses() + contract.notifications()
     return {
-        "dcp_adapter.h": _HEADER.replace("@HEADING@", first).replace("@BODY@", header.rstrip()),
+        "dcp_adapter.h": header_file("DCP_ADAPTER", first, '#include "dcp_codec.h"', header),
         "dcp_adapter.c": f"{first}\n{_INCLUDES}\n{source.rstrip()}\n",
     }
 
@@ -292,24 +291,6 @@ def _function(method: str) -> str:
     return re.sub(r"_+", "_", snake_name(method))
 
 
-_HEADER = """@HEADING@
-#ifndef DCP_ADAPTER_H
-#define DCP_ADAPTER_H
-
-#include "dcp_codec.h"
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
-@BODY@
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif
-"""
 _INCLUDES = """#include "dcp_adapter.h"
 
 #include <stdio.h>

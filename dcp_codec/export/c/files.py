@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from importlib import resources
 
 from dcp_spec.reasons import REASONS
@@ -10,9 +11,9 @@ from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
 from dcp_codec.export.shape import shape_of
+from dcp_codec.export.wording import constant
 
 from .header import Structures, constants, declarations, heading
-from .names import constant
 from .reading import Reading
 from .scalars import Scalars
 from .writing import Writing
@@ -31,18 +32,28 @@ def codec_files(codec: Codec) -> dict[str, str]:
     inline = f"{template('common_inline.h')}\n{reader.inline()}\n{writer.inline()}"
     first = heading(codec.profile, __version__)
     identifiers = sorted(set(_ENUMERATOR.findall(body)))
-    header = _HEADER
-    for mark, text in {
-        "@HEADING@": first,
-        "@COMMON@": _common(identifiers),
-        "@CONSTANTS@": "\n".join(constants(shape)),
-        "@STRUCTURES@": Structures(shape, codec.profile).text(),
-        "@DECLARATIONS@": declarations(shape).rstrip(),
-        "@INLINE@": f"{shared.helpers()}\n{inline}".rstrip(),
-    }.items():
-        header = header.replace(mark, text)
+    marks = {
+        "COMMON": _common(identifiers),
+        "CONSTANTS": "\n".join(constants(shape)),
+        "STRUCTURES": Structures(shape, codec.profile).text(),
+        "DECLARATIONS": declarations(shape).rstrip(),
+        "INLINE": f"{shared.helpers()}\n{inline}".rstrip(),
+    }
+    header = header_file("DCP_CODEC", first, _INCLUDES, filled(_BODY, marks))
     source = f'{first}\n#include "dcp_codec.h"\n\n{_names(identifiers)}\n{scalars.helpers(shared)}\n{body}'
     return {"dcp_codec.h": header, "dcp_codec.c": source.rstrip() + "\n"}
+
+
+def filled(text: str, marks: Mapping[str, str]) -> str:
+    """Return a text with the marks ``@NAME@`` replaced."""
+    for mark, value in marks.items():
+        text = text.replace(f"@{mark}@", value)
+    return text
+
+
+def header_file(name: str, heading: str, includes: str, body: str) -> str:
+    """Return the header ``name`` (in capitals, without suffix), which C++ can include, too."""
+    return filled(_HEADER, {"HEADING": heading, "NAME": name, "INCLUDES": includes, "BODY": body})
 
 
 def template(name: str) -> str:
@@ -57,14 +68,14 @@ def _common(identifiers: list[str]) -> str:
     # C++ before 11 and pedantic compilers want no comma after the last one.
     reasons[-1] = reasons[-1].replace(",", " ", 1)
     requirements = ["    DCP_REQUIREMENT_NONE", *(f"    DCP_{name}" for name in identifiers)]
-    text = template("common.h").replace("@REASONS@", "\n".join(reasons))
-    return text.replace("@REQUIREMENTS@", ",\n".join(requirements)).rstrip()
+    marks = {"REASONS": "\n".join(reasons), "REQUIREMENTS": ",\n".join(requirements)}
+    return filled(template("common.h"), marks).rstrip()
 
 
 def _names(identifiers: list[str]) -> str:
     reasons = ["ok", *REASONS]
     spelled = ["", *(name.replace("_", "-") for name in identifiers)]
-    return _NAMES.replace("@REASONS@", _quoted(reasons)).replace("@REQUIREMENTS@", _quoted(spelled))
+    return filled(_NAMES, {"REASONS": _quoted(reasons), "REQUIREMENTS": _quoted(spelled)})
 
 
 def _quoted(names: list[str]) -> str:
@@ -72,18 +83,27 @@ def _quoted(names: list[str]) -> str:
 
 
 _HEADER = """@HEADING@
-#ifndef DCP_CODEC_H
-#define DCP_CODEC_H
+#ifndef @NAME@_H
+#define @NAME@_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+@INCLUDES@
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-@COMMON@
+@BODY@
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+"""
+_INCLUDES = """#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>"""
+_BODY = """@COMMON@
 
 @CONSTANTS@
 
@@ -97,14 +117,7 @@ const char *dcp_requirement_name(dcp_requirement_t requirement);
 
 /* Records of containers are read and added by functions that compilers can inline. */
 
-@INLINE@
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif
-"""
+@INLINE@"""
 _NAMES = """const char *dcp_reason_name(dcp_reason_t reason)
 {
     static const char *const names[] = {

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.export.shape import Record, Shape
-from dcp_codec.export.wording import description
+from dcp_codec.export.wording import constant, description
 from dcp_codec.plan.measures import least_size
 from dcp_codec.plan.tree import Group, Node, Scalar
 
-from .names import cite, comment, constant, member_name, plain, stem, value_type
+from .names import cite, comment, member_name, plain, stem, value_type
 
 
 def constants(shape: Shape) -> Iterator[str]:

@@ -7,7 +7,7 @@ import textwrap
 
 from dcp_spec.catalogue.requirements import requirement
 
-from dcp_codec.export.wording import snake_name
+from dcp_codec.export.wording import bits_of, snake_name
 from dcp_codec.plan.tree import Group, Scalar
 
 #: Words that no member of a structure may have, in C99 and C++17, beside those that Python reserves, too.
@@ -31,11 +31,6 @@ def member_name(name: str) -> str:
     return f"{plain}_" if plain in _WORDS else plain
 
 
-def constant(name: str) -> str:
-    """Return a name in capitals: ``"REQUEST-VARUPDATES"`` -> ``"REQUEST_VARUPDATES"``."""
-    return "".join(each if each.isalnum() and each.isascii() else "_" for each in name).upper()
-
-
 def access(path: tuple[str, ...]) -> str:
     """Return the access to a member of the structure ``v``."""
     return "v->" + ".".join(member_name(name) for name in path)
@@ -43,8 +38,7 @@ def access(path: tuple[str, ...]) -> str:
 
 def integer_type(scalar: Scalar) -> str:
     """Return the narrowest type of C that holds an integer of the wire."""
-    bits = next(bits for bits in (8, 16, 32, 64) if scalar.size * 8 <= bits)
-    return f"{'' if scalar.signed else 'u'}int{bits}_t"
+    return f"{'' if scalar.signed else 'u'}int{bits_of(scalar.size)}_t"
 
 
 def value_type(scalar: Scalar) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from dcp_codec.export.shape import Part, Record, Run, Shape
+from dcp_codec.export.shape import Part, Record, Run
+from dcp_codec.export.wording import constant
 from dcp_codec.plan.tree import Scalar, Text
 
-from .names import access, cite, comment, constant, stem
-from .scalars import Scalars
+from .names import access, cite, comment, stem
+from .scalars import Functions
 
 
 def reason(name: str) -> str:
@@ -22,18 +23,8 @@ def needs(identifier: str | None) -> str:
     return f"DCP_{constant(identifier)}" if identifier else "DCP_REQUIREMENT_NONE"
 
 
-class Reading:
-    """Makes the reading functions of a shape. ``scalars`` collects the helpers."""
-
-    def __init__(self, shape: Shape, scalars: Scalars, shared: Scalars) -> None:
-        """``shared`` collects the helpers of the functions that are in the header."""
-        self.shape = shape
-        self.scalars = scalars
-        self.shared = shared
-        self.lines: list[str] = []
-
-    def add(self, *lines: str) -> None:
-        self.lines += lines
+class Reading(Functions):
+    """Makes the reading functions of a shape."""
 
     # -- records ----------------------------------------------------------------------------------------------
 

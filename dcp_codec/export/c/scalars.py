@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from dcp_codec.export.shape import Shape
+from dcp_codec.export.wording import bits_of
 from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Scalar
 
 from .names import integer_type
 
 
-def _raw_type(size: int) -> str:
-    return f"uint{next(bits for bits in (8, 16, 32, 64) if size * 8 <= bits)}_t"
+def raw_type(size: int) -> str:
+    """Return the narrowest unsigned type of C that holds ``size`` octets."""
+    return f"uint{bits_of(size)}_t"
+
+
+class Functions:
+    """Collects the functions of a shape, line by line.
+
+    ``scalars`` collects the helpers that they call, ``shared`` those of the functions that are in the header.
+    """
+
+    def __init__(self, shape: Shape, scalars: Scalars, shared: Scalars) -> None:
+        self.shape = shape
+        self.scalars = scalars
+        self.shared = shared
+        self.lines: list[str] = []
+
+    def add(self, *lines: str) -> None:
+        self.lines += lines
 
 
 class Scalars:
@@ -39,7 +58,7 @@ class Scalars:
         size, little = scalar.size, scalar.order == "little"
         if size == 1:
             return f"p[{place}]"
-        name, raw = f"dcp_{'le' if little else 'be'}{size}", _raw_type(size)
+        name, raw = f"dcp_{'le' if little else 'be'}{size}", raw_type(size)
         wide = "uint64_t" if size > 4 else "uint32_t"
         terms = []
         for index in range(size):
@@ -52,7 +71,7 @@ class Scalars:
         return f"{name}({pointer(place)})"
 
     def _real(self, size: int) -> str:
-        name, raw, real = f"dcp_real{size}", _raw_type(size), "float" if size == 4 else "double"
+        name, raw, real = f"dcp_real{size}", raw_type(size), "float" if size == 4 else "double"
         self._helpers[name] = (
             f"/* The octets of an IEEE 754 number as {real}. */\n"
             f"static inline {real} {name}({raw} bits)\n{{\n    union {{\n        {raw} bits;\n        {real} value;\n"
@@ -64,7 +83,7 @@ class Scalars:
         """Return the statement that stores a number ``place`` octets after the pointer ``p``."""
         size = scalar.size
         if scalar.kind == "float":
-            name, raw, real = f"dcp_bits{size}", _raw_type(size), "float" if size == 4 else "double"
+            name, raw, real = f"dcp_bits{size}", raw_type(size), "float" if size == 4 else "double"
             self._helpers[name] = (
                 f"static inline {raw} {name}({real} value)\n{{\n"
                 f"    union {{\n        {raw} bits;\n        {real} value;\n"
@@ -78,7 +97,7 @@ class Scalars:
     def store(self, scalar: Scalar) -> str:
         """Return the name of the function that stores a number of a scalar's size and order."""
         size, little = scalar.size, scalar.order == "little" and scalar.size > 1
-        name, raw = f"dcp_put_{'le' if little else 'be'}{size}", _raw_type(size)
+        name, raw = f"dcp_put_{'le' if little else 'be'}{size}", raw_type(size)
         lines = []
         for index in range(size):
             shift = 8 * (index if little else size - 1 - index)

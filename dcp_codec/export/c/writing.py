@@ -5,26 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from dcp_codec.export.shape import Record, Run, Shape
+from dcp_codec.export.shape import Record, Run
 from dcp_codec.plan.measures import largest, longest
 from dcp_codec.plan.tree import Scalar, Text
 
 from .names import access, stem
-from .scalars import Scalars, pointer
+from .scalars import Functions, pointer, raw_type
 
 
-class Writing:
-    """Makes the writing functions of a shape. ``scalars`` collects the helpers."""
-
-    def __init__(self, shape: Shape, scalars: Scalars, shared: Scalars) -> None:
-        """``shared`` collects the helpers of the functions that are in the header."""
-        self.shape = shape
-        self.scalars = scalars
-        self.shared = shared
-        self.lines: list[str] = []
-
-    def add(self, *lines: str) -> None:
-        self.lines += lines
+class Writing(Functions):
+    """Makes the writing functions of a shape."""
 
     def all(self) -> str:
         """Return all writing functions."""
@@ -104,7 +94,7 @@ class Writing:
                 self.add(f"    dcp_copy({pointer(place)}, {access(part.path)}, {node.size}u);")
             elif run.text is not None and isinstance(run.text.node, Text) and part.path[:-1] == run.text.path:
                 plus = " + 1u" if run.text.node.terminated else ""
-                size = f"({_unsigned(node)})({access(run.text.path)}.size{plus})"
+                size = f"({raw_type(node.size)})({access(run.text.path)}.size{plus})"
                 self.add(f"    {self.scalars.write(node, size, place)}")
             elif node.derived is not None:
                 offset = f" + {place}" if place else ""
@@ -115,7 +105,7 @@ class Writing:
                 if node.rule is not None and node.rule.value is not None:
                     value = f"0x{node.rule.value:x}u"
                 elif node.signed:
-                    value = f"({_unsigned(node)}){value}"
+                    value = f"({raw_type(node.size)}){value}"
                 self.add(f"    {self.scalars.write(node, value, place)}")
             place += node.size
         if place:
@@ -134,7 +124,9 @@ class Writing:
         part = self.shape.scalar_or_none(record, name)
         if part is None or not isinstance(part.node, Scalar) or part.node.derived is None:
             return
-        self.add(f"    {self.scalars.store(part.node)}(w->octets + w->{place}, ({_unsigned(part.node)})({number}));")
+        self.add(
+            f"    {self.scalars.store(part.node)}(w->octets + w->{place}, ({raw_type(part.node.size)})({number}));"
+        )
 
     def _limit(self, record: Record, name: str, number: str, fault: str) -> None:
         """Emit the check that a number can be expressed by a derived field."""
@@ -328,7 +320,3 @@ def _at_most(number: str, most: int, otherwise: str) -> list[str]:
         return []
     check[0] = f"    if ({number} > UINT64_C({most}))"
     return [f"#if SIZE_MAX > {most}u", *check, "#endif"] if most < (1 << 64) - 1 else []
-
-
-def _unsigned(scalar: Scalar) -> str:
-    return f"uint{next(bits for bits in (8, 16, 32, 64) if scalar.size * 8 <= bits)}_t"

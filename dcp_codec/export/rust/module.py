@@ -15,7 +15,7 @@ from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
 from dcp_codec.export.shape import Part, Record, Shape, shape_of
-from dcp_codec.export.wording import description, snake_name
+from dcp_codec.export.wording import bits_of, constant, description, snake_name
 from dcp_codec.plan.measures import largest, longest
 from dcp_codec.plan.tree import Group, Node, Scalar, Text
 
@@ -59,11 +59,7 @@ def _number_type(node: Scalar) -> str:
         return f"[u8; {node.size}]"
     if node.kind == "float":
         return "f32" if node.size == 4 else "f64"
-    return f"{'i' if node.signed else 'u'}{next(bits for bits in (8, 16, 32, 64) if node.size * 8 <= bits)}"
-
-
-def _constant(name: str) -> str:
-    return "".join(each if each.isalnum() and each.isascii() else "_" for each in name).upper()
+    return f"{'i' if node.signed else 'u'}{bits_of(node.size)}"
 
 
 def _doc(text: str, indent: str = "    ") -> list[str]:
@@ -357,7 +353,7 @@ class Module:
         )
         yield common
         for label, number in shape.protocols.items():
-            yield f"pub const PROTOCOL_{_constant(label)}: u64 = {number};"
+            yield f"pub const PROTOCOL_{constant(label)}: u64 = {number};"
         yield ""
         if shape.header is not None:
             header = shape.header

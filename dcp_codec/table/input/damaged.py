@@ -19,6 +19,7 @@ from dcp_spec.profile.definition import Link
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
 from dcp_codec.framing.locate import Framing, locate, mac
+from dcp_codec.jsonform import problem_json
 from dcp_codec.plan.layout import walk
 from dcp_codec.plan.tree import Exact, Group, Many, Node, Region, Scalar, Select, Text
 from dcp_codec.table.columns import HEX
@@ -202,13 +203,10 @@ def _octets_column(table: Table, shape: Shape) -> Column | None:
 def _error(problem: Problem) -> _Row:
     block = _BLOCK.match(problem.path)
     return {
+        **problem_json(problem),
         "payload": None if block is None else int(block[1]),
-        "reason": problem.reason,
-        "path": problem.path,
-        "offset": problem.offset,
         "needed": _fitting(problem.needed),
         "available": _fitting(problem.available),
-        "requirement": problem.requirement,
     }
 
 

@@ -10,13 +10,12 @@ import mmap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from dcp_codec.capture import ETHERNET, MAX_TIME_NS, CaptureProblem, CaptureReader, Frame, open_capture
-from dcp_codec.capture.bytesource import open_source
+from dcp_codec.capture.bytesource import Closing, open_source
 from dcp_codec.capture.frame import MAX_RECORD_LENGTH
 from dcp_codec.capture.pcap.reader import PcapReader
 from dcp_codec.capture.pcapng.blocks import Interface
@@ -39,7 +38,7 @@ _ODD_BLOCKS = 1 << 10
 _BIGGEST = (1 << 63) - 1
 
 
-class Recording:
+class Recording(Closing):
     """A recording that is read once, in blocks. A context manager.
 
     ``walk``: whether machine code finds the frames; by default it does in large files. ``frames`` and ``span`` limit a
@@ -181,14 +180,6 @@ class Recording:
     def close(self) -> None:
         """Close the file. Further calls have no effect."""
         self._reader.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _arrays(many: int, size: int) -> list[Integers]:

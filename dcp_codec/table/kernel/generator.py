@@ -12,6 +12,7 @@ outside. It is also plain Python, so that tests can run it for profiles that are
 from __future__ import annotations
 
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.views.decoder import branches
 
 from .lines import DONE, FULL, POOL_FULL, KernelLines
 from .row_buffer import ITEMS, item, places
@@ -33,28 +34,24 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-class _Ref:
-    """The name of the variable of a scalar that other members refer to."""
-
-    def __init__(self, variable: str) -> None:
-        self.variable = variable
-
-
-_Scope = dict[str, "_Ref | _Scope"]
+#: The variables of scalars that other members refer to, by their names.
+_Scope = dict[str, "str | _Scope"]
 
 
 def _resolve(scope: _Scope, reference: str) -> str:
-    found: _Ref | _Scope = scope
+    found: str | _Scope = scope
     for part in reference.split("."):
         assert isinstance(found, dict)
         found = found[part]
-    assert isinstance(found, _Ref)
-    return found.variable
+    assert isinstance(found, str)
+    return found
 
 
 class _Generator(KernelLines):
     def __init__(self, shape: Shape) -> None:
-        super().__init__()
+        varying = "".join(f", d{column.number}" for column in _varying(shape))
+        targets = ", ".join(f"t{table.number}" for table in shape.tables)
+        super().__init__(f"decode({', '.join(PARAMETERS)}, {targets}{varying})")
         self.shape = shape
         #: Names of the variables of the index columns, outermost first.
         self.indices: list[str] = []
@@ -142,7 +139,7 @@ class _Generator(KernelLines):
         if scalar.rule is not None:
             wanted = scalar.rule.value
             self.fail_if(f"{variable} == 0" if wanted is None else f"{variable} != {_pattern(wanted, scalar)}")
-        scope[scalar.name] = _Ref(variable)
+        scope[scalar.name] = variable
         self.put(column, row, variable)
 
     def text(self, text: Text, lengths: list[str], row: str, end: str) -> None:
@@ -219,16 +216,11 @@ class _Generator(KernelLines):
         own = [self.shape.of(case) if isinstance(case, Rest | Fill) else None for case in cases]
         # A case may fail, which is a `break`: this needs a loop.
         with self.loop("for _once in range(1):"):
-            keyword = "if"
-            for index, (number, case) in enumerate(node.cases.items()):
-                with self.block(f"{keyword} {key} == {number}:"):
-                    self.case(case, index, column, own, row, end, scope)
-                keyword = "elif"
-            with self.block("else:" if node.cases else "if True:"):
-                if node.default is None:
+            for index, case in enumerate(branches(self, key, node)):
+                if case is None:
                     self.add("break")
                 else:
-                    self.case(node.default, len(cases) - 1, column, own, row, end, scope)
+                    self.case(case, index, column, own, row, end, scope)
 
     def case(
         self,
@@ -274,11 +266,7 @@ def kernel_source(shape: Shape) -> str:
     """Return the source of ``decode(...)`` for the tables of ``shape``; see ``PARAMETERS``."""
     generator = _Generator(shape)
     add, block = generator.add, generator.block
-    varying = [column for column in shape.columns if column.kind in ("varying", "text")]
-    tables = shape.tables
-    targets = ", ".join(f"t{table.number}" for table in tables)
-    octets = "".join(f", d{column.number}" for column in varying)
-    signature = f"decode({', '.join(PARAMETERS)}, {targets}{octets})"
+    varying, tables = _varying(shape), shape.tables
     add("a_mask, a_most = I64(len(a_slots) - 1), I64(len(a_keys))")
     add("n_mask, n_most = I64(len(n_slots) - 1), I64(len(n_keys))")
     before = places(shape.columns)
@@ -323,12 +311,17 @@ def kernel_source(shape: Shape) -> str:
     for place, value in enumerate(result_names(shape)):
         add(f"rows[{place}] = {value}")
     add("return i, status")
-    return f"def {signature}:\n" + "\n".join(generator.lines) + "\n"
+    return "\n".join(generator.lines) + "\n"
+
+
+def _varying(shape: Shape) -> list[Column]:
+    """Return the columns of variable length."""
+    return [column for column in shape.columns if column.kind in ("varying", "text")]
 
 
 def result_names(shape: Shape) -> list[str]:
     """Return the names of the variables whose values are in ``rows`` when the function returns."""
-    varying = [f"m{column.number}" for column in shape.columns if column.kind in ("varying", "text")]
+    varying = [f"m{column.number}" for column in _varying(shape)]
     return [*(f"n{table.number}" for table in shape.tables), "a_many", "n_many", "malformed", "other", *varying]
 
 

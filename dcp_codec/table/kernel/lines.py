@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from dcp_codec.plan.source import Source
 from dcp_codec.plan.tree import Scalar
 
 from .row_buffer import item
@@ -23,38 +24,11 @@ _MULTIPLIER = 0x9E3779B97F4A7C1
 SHORT = 8
 
 
-class KernelLines:
+class KernelLines(Source):
     """Source lines of the function, with methods that append statements for reading values and filling columns.
 
     A failure is a ``break`` of the innermost loop, so that all statements that may fail must be in a loop.
     """
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.depth = 1
-        self._names = 0
-
-    # -- source ---------------------------------------------------------------------------------------------
-
-    def add(self, line: str) -> None:
-        """Append one line at the current depth."""
-        self.lines.append("    " * self.depth + line)
-
-    def fresh(self, stem: str = "v") -> str:
-        """Return a new unique name of a variable."""
-        self._names += 1
-        return f"{stem}{self._names}"
-
-    @contextmanager
-    def block(self, line: str) -> Iterator[None]:
-        """Append a compound statement: ``line``, and the lines that are added in the ``with`` block."""
-        self.add(line)
-        self.depth += 1
-        before = len(self.lines)
-        yield
-        if len(self.lines) == before:
-            self.add("pass")
-        self.depth -= 1
 
     def fail_if(self, condition: str) -> None:
         """Append a statement that leaves the innermost loop, with ``bad_now`` still set, if ``condition`` is true."""

@@ -46,13 +46,9 @@ class Pool:
         self.arena = np.empty(0 if short else 32 * most, np.uint8)
         self.many = 0
 
-    def grown(self) -> Pool:
-        """Return an empty pool of twice the capacity."""
-        return Pool(self.size, self._write, 2 * self.most)
-
-    def fresh(self) -> Pool:
-        """Return an empty pool of the same capacity."""
-        return Pool(self.size, self._write, self.most)
+    def fresh(self, *, times: int = 1) -> Pool:
+        """Return an empty pool of ``times`` the capacity."""
+        return Pool(self.size, self._write, times * self.most)
 
     @property
     def dictionary(self) -> pa.Array:

@@ -8,7 +8,7 @@ they are needed to compute overhead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from dcp_spec.profile.definition import Profile
@@ -164,17 +164,7 @@ class Shape:
             name = f"{group or table.type_name.lower()}_{name}"
         while name in taken:
             name += "_"
-        made = Column(
-            name,
-            column.kind,
-            column.size,
-            len(self.columns),
-            column.signed,
-            column.labels,
-            column.only,
-            column.unit,
-            column.doc,
-        )
+        made = replace(column, name=name, number=len(self.columns))
         table.columns.append(made)
         self.columns.append(made)
         if node is not None:

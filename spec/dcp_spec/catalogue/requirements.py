@@ -54,9 +54,7 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def holds_in(self, version: SpecVersion | str) -> bool:
         """Whether the statement holds in `version`. Raises ValueError for a version that does not exist."""
         version = SpecVersion(version)
-        if self.until is not None and version > self.until:
-            return False
-        return version >= self.since and version not in self.not_in
+        return version.is_within(self.since, self.until) and version not in self.not_in
 
     def cite(self) -> str:
         """The requirement as one line for messages: id, place and statement."""

@@ -20,53 +20,19 @@ from msgspec import Meta
 
 from dcp_spec.constants import SpecVersion
 
-from .types import (
-    BYTE_ORDER,
-    TICKS_PER_SECOND,
-    U8,
-    ByteOrder,
-    IntType,
-    Members,
-    NodeIdType,
-    NotNegative,
-    OwnField,
-    Part,
-    Positive,
-    RealType,
-    Size,
-    TextType,
-    TimestampType,
-    Types,
-    own_fields,
-    standard_fields,
-)
-
-__all__ = [
-    "RECORD_MEMBERS",
-    "TICKS_PER_SECOND",
-    "BPLayout",
-    "Behaviour",
-    "ByteOrder",
-    "ContainerTypes",
-    "IntType",
-    "Limits",
-    "Link",
-    "Members",
-    "NodeIdType",
-    "OwnContainer",
-    "OwnField",
-    "Profile",
-    "RealType",
-    "RecordLayouts",
-    "SRPLayout",
-    "SafetyField",
-    "TextType",
-    "TimestampType",
-    "Types",
-    "VardisLayout",
-    "own_fields",
-    "standard_fields",
-]
+from .types import BYTE_ORDER, U8, NotNegative, Part, Positive, Size
+from .types import TICKS_PER_SECOND as TICKS_PER_SECOND
+from .types import ByteOrder as ByteOrder
+from .types import IntType as IntType
+from .types import Members as Members
+from .types import NodeIdType as NodeIdType
+from .types import OwnField as OwnField
+from .types import RealType as RealType
+from .types import TextType as TextType
+from .types import TimestampType as TimestampType
+from .types import Types as Types
+from .types import own_fields as own_fields
+from .types import standard_fields as standard_fields
 
 
 class Link(Part, frozen=True):
@@ -154,18 +120,7 @@ class SRPLayout(Part, frozen=True):
         return any(isinstance(member, str) for member in self.record)
 
 
-class ContainerTypes(
-    Part,
-    frozen=True,
-    rename={
-        "summaries": "SUMMARIES",
-        "updates": "UPDATES",
-        "request_varupdates": "REQUEST-VARUPDATES",
-        "request_varcreates": "REQUEST-VARCREATES",
-        "create_variables": "CREATE-VARIABLES",
-        "delete_variables": "DELETE-VARIABLES",
-    },
-):
+class ContainerTypes(Part, frozen=True, rename=lambda name: name.upper().replace("_", "-")):
     """The number of each container type of the specification (VD-IC-02)."""
 
     summaries: Annotated[U8, Meta(description="Records `VarSumm`.")]
@@ -194,33 +149,25 @@ RECORD_MEMBERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
-class RecordLayouts(
-    Part,
-    frozen=True,
-    rename={
-        "var_summ": "VarSumm",
-        "var_update": "VarUpdate",
-        "var_req_update": "VarReqUpdate",
-        "var_req_create": "VarReqCreate",
-        "var_create": "VarCreate",
-        "var_delete": "VarDelete",
-    },
-):
+class RecordLayouts(Part, frozen=True, rename="pascal"):
     """The members of the instruction records in order, with fields of your own (VD-TYP-07)."""
 
-    var_summ: Annotated[Members, Meta(description="`varId`, `seqno`, and fields of your own.")] = ("varId", "seqno")
+    var_summ: Annotated[Members, Meta(description="`varId`, `seqno`, and fields of your own.")] = RECORD_MEMBERS[
+        "VarSumm"
+    ]
     var_update: Annotated[Members, Meta(description="`varId`, `seqno`, `value`, and fields of your own.")] = (
-        "varId",
-        "seqno",
-        "value",
+        RECORD_MEMBERS["VarUpdate"]
     )
-    var_req_update: Annotated[Members, Meta(description="`varId`, `seqno`, and fields of your own.")] = (
-        "varId",
-        "seqno",
-    )
-    var_req_create: Annotated[Members, Meta(description="`varId`, and fields of your own.")] = ("varId",)
-    var_create: Annotated[Members, Meta(description="`spec`, `upd`, and fields of your own.")] = ("spec", "upd")
-    var_delete: Annotated[Members, Meta(description="`varId`, and fields of your own.")] = ("varId",)
+    var_req_update: Annotated[Members, Meta(description="`varId`, `seqno`, and fields of your own.")] = RECORD_MEMBERS[
+        "VarReqUpdate"
+    ]
+    var_req_create: Annotated[Members, Meta(description="`varId`, and fields of your own.")] = RECORD_MEMBERS[
+        "VarReqCreate"
+    ]
+    var_create: Annotated[Members, Meta(description="`spec`, `upd`, and fields of your own.")] = RECORD_MEMBERS[
+        "VarCreate"
+    ]
+    var_delete: Annotated[Members, Meta(description="`varId`, and fields of your own.")] = RECORD_MEMBERS["VarDelete"]
 
     def by_name(self) -> dict[str, Members]:
         """The members of each record by its name in the specification."""

@@ -26,55 +26,49 @@ def header(profile: Profile, payloads: Any) -> Record:
         length = SizeOf(
             integer(types.bp_length), of="_.payloads", target=payloads, nonzero=True, requirement="BP-RX-03"
         )
-    fields = {
-        "version": Field(
+    fields = (
+        Field(
             "version",
             Expect(integer(IntType(width=1)), BP_VERSION, reason="bad-version", requirement="BP-RX-01"),
             requirement="BP-HDR-01",
             doc="protocol version, 0x01 in every version of the specification so far",
         ),
-        "magicNo": Field(
+        Field(
             "magicNo",
             Expect(integer(types.magic_no), BP_MAGIC_NO, reason="bad-magic", requirement="BP-RX-02"),
             requirement="BP-HDR-02",
             doc="distinguishes beacons from other traffic",
         ),
-        "senderId": Field(
-            "senderId",
-            node_id(types.node_id),
-            requirement="BP-HDR-03",
-            role="node-id",
-            doc="sender of the beacon",
-        ),
-        "networkId": Field(
+        Field("senderId", node_id(types.node_id), requirement="BP-HDR-03", role="node-id", doc="sender of the beacon"),
+        ##= BP-HDR-05
+        Field(
             "networkId",
-            ##= BP-HDR-05
             integer(types.network_id),
             requirement="BP-HDR-04",
             role="network-id",
             doc="network of the sender",
         ),
-        "length": Field(
+        Field(
             "length",
             length,
             requirement="BP-HDR-06",
             unit="octets",
             doc="length of all payload blocks with their headers",
         ),
-        "numPayloads": Field(
+        Field(
             "numPayloads",
             CountOf(integer(IntType(width=1)), of="_.payloads", requirement="BP-RX-04"),
             requirement="BP-HDR-07",
             doc="number of payload blocks",
         ),
-        "seqno": Field(
+        Field(
             "seqno",
             integer(types.bp_seqno),
             requirement="BP-HDR-08",
             role="seqno",
             doc="counter of the sender's beacons",
         ),
-    }
+    )
     return Record("BPHeader", *members(profile.bp.header, fields), requirement="BP-HDR-10")
 
 
@@ -87,16 +81,16 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
         default=("data", cs.GreedyBytes),
         requirement="BP-RX-08",
     )
-    fields = {
-        "protocolId": Field("protocolId", integer(types.protocol_id), requirement="BP-HDR-11", doc="client protocol"),
-        "length": Field(
+    fields = (
+        Field("protocolId", integer(types.protocol_id), requirement="BP-HDR-11", doc="client protocol"),
+        Field(
             "length",
             SizeOf(integer(types.bp_length), of="content", target=content),
             requirement="BP-HDR-11",
             unit="octets",
             doc="length of the client payload without this header",
         ),
-    }
+    )
     block = members(profile.bp.payload_header, fields)
     block.append(
         Field(

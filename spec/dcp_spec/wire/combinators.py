@@ -311,9 +311,6 @@ class Sized(cs.Subconstruct):
             raise SchemaViolation("leftover", self.requirement, path)
         return value
 
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
-        return self.subcon._build(obj, stream, context, path)
-
 
 class WholeRegion(cs.Subconstruct):
     """A record of fixed size that must be exactly as long as the region that holds it."""

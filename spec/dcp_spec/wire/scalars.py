@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import construct as cs
@@ -57,6 +57,7 @@ def foreign(member: OwnField) -> Field:
     return Field(member.name, integer(member.extra), role="extra", unit=unit, doc=doc)
 
 
-def members(listed: Members, fields: Mapping[str, Field]) -> list[Field]:
+def members(listed: Members, fields: Iterable[Field]) -> list[Field]:
     """The members of a record: the standard ones out of ``fields``, and those of the implementation's own."""
-    return [fields[member] if isinstance(member, str) else foreign(member) for member in listed]
+    standard = {field.name: field for field in fields}
+    return [standard[member] if isinstance(member, str) else foreign(member) for member in listed]

@@ -24,11 +24,7 @@ def _safety_field(member: SafetyField) -> Field:
 
 def safety_data(profile: Profile) -> Record:
     """``SafetyDataT``: the data that the application submits, in the layout of the profile."""
-    return Record(
-        "SafetyData",
-        *(_safety_field(member) for member in profile.srp.safety_data),
-        requirement="SRP-TYP-02",
-    )
+    return Record("SafetyData", *map(_safety_field, profile.srp.safety_data), requirement="SRP-TYP-02")
 
 
 def report(profile: Profile) -> Any | None:
@@ -41,7 +37,7 @@ def report(profile: Profile) -> Any | None:
         return None
     if profile.srp.is_report:
         return _filling(state_report(profile))
-    return _filling(Record("OwnReport", *members(record, {}), requirement="SRP-RX-01"))
+    return _filling(Record("OwnReport", *members(record, ()), requirement="SRP-RX-01"))
 
 
 def _filling(record: Record) -> Any:
@@ -55,16 +51,16 @@ def _filling(record: Record) -> Any:
 def state_report(profile: Profile) -> Record:
     """``ExtendedSafetyDataT``."""
     types = profile.types
-    fields = {
-        "sData": Field("sData", safety_data(profile), requirement="SRP-TYP-03", doc="safety data of the application"),
-        "nodeId": Field(
+    fields = (
+        Field("sData", safety_data(profile), requirement="SRP-TYP-03", doc="safety data of the application"),
+        Field(
             "nodeId",
             node_id(types.node_id),
             requirement="SRP-TYP-04",
             role="node-id",
             doc="node that the report is about",
         ),
-        "tStamp": Field(
+        Field(
             "tStamp",
             integer(types.timestamp.as_int()),
             requirement="SRP-TYP-05",
@@ -72,12 +68,12 @@ def state_report(profile: Profile) -> Record:
             unit=types.timestamp.unit,
             doc="time at which the application submitted the data",
         ),
-        "seqno": Field(
+        Field(
             "seqno",
             integer(types.srp_seqno),
             requirement="SRP-TYP-01",
             role="seqno",
             doc="counter of the node's reports",
         ),
-    }
+    )
     return Record("ExtendedSafetyData", *members(profile.srp.record, fields), requirement="SRP-RX-01")

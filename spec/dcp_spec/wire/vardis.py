@@ -18,19 +18,19 @@ def _seqno(profile: Profile, doc: str) -> Field:
     return Field("seqno", integer(profile.types.var_seqno), requirement="VD-TYP-03", role="seqno", doc=doc)
 
 
-def spec_fields(profile: Profile) -> dict[str, Field]:
-    """The fields of ``VarSpecT`` by name."""
+def spec_fields(profile: Profile) -> tuple[Field, ...]:
+    """The fields of ``VarSpecT``."""
     types = profile.types
-    return {
-        "varId": _var_id(profile),
-        "prodId": Field("prodId", node_id(types.node_id), requirement="VD-TYP-05", role="node-id", doc="producer"),
-        "repCnt": Field(
+    return (
+        _var_id(profile),
+        Field("prodId", node_id(types.node_id), requirement="VD-TYP-05", role="node-id", doc="producer"),
+        Field(
             "repCnt",
             integer(types.var_rep_cnt),
             requirement="VD-TYP-05",
             doc="number of beacons that contain each instruction",
         ),
-        "creationTime": Field(
+        Field(
             "creationTime",
             integer(types.timestamp.as_int()),
             requirement="VD-TYP-05",
@@ -38,15 +38,15 @@ def spec_fields(profile: Profile) -> dict[str, Field]:
             unit=types.timestamp.unit,
             doc="time at which the producer created the variable",
         ),
-        "timeout": Field(
+        Field(
             "timeout",
             integer(types.var_timeout),
             requirement="VD-TYP-04",
             unit="ms",
             doc="deleted after this time without an update; 0 = never",
         ),
-        "descr": Field("descr", octets(types.string, text=True), requirement="DATA-07", doc="description, UTF-8"),
-    }
+        Field("descr", octets(types.string, text=True), requirement="DATA-07", doc="description, UTF-8"),
+    )
 
 
 def var_spec(profile: Profile) -> Record:
@@ -61,18 +61,11 @@ def _value(profile: Profile) -> Field:
 
 def var_update(profile: Profile) -> Record:
     """``VarUpdateT``: a new value of a variable."""
-    return _record(
-        profile,
-        "VarUpdate",
-        {
-            "varId": _var_id(profile),
-            "seqno": _seqno(profile, "sequence number of this value"),
-            "value": _value(profile),
-        },
-    )
+    seqno = _seqno(profile, "sequence number of this value")
+    return _record(profile, "VarUpdate", _var_id(profile), seqno, _value(profile))
 
 
-def _record(profile: Profile, name: str, fields: dict[str, Field]) -> Record:
+def _record(profile: Profile, name: str, *fields: Field) -> Record:
     """The instruction record of that name, with its members as the profile lists them."""
     listed = profile.vardis.records.by_name()[name]
     return Record(name, *members(listed, fields), requirement="VD-TYP-07")
@@ -80,27 +73,19 @@ def _record(profile: Profile, name: str, fields: dict[str, Field]) -> Record:
 
 def instruction_records(profile: Profile) -> dict[str, Record]:
     """The record type of each container type, by the container's name."""
-    var_id = {"varId": _var_id(profile)}
+    var_id = _var_id(profile)
+    newest = _seqno(profile, "sequence number of the newest value that the sender has")
+    outdated = _seqno(profile, "sequence number of the outdated value that the sender has")
     return {
-        "SUMMARIES": _record(
-            profile,
-            "VarSumm",
-            {**var_id, "seqno": _seqno(profile, "sequence number of the newest value that the sender has")},
-        ),
+        "SUMMARIES": _record(profile, "VarSumm", var_id, newest),
         "UPDATES": var_update(profile),
-        "REQUEST-VARUPDATES": _record(
-            profile,
-            "VarReqUpdate",
-            {**var_id, "seqno": _seqno(profile, "sequence number of the outdated value that the sender has")},
-        ),
+        "REQUEST-VARUPDATES": _record(profile, "VarReqUpdate", var_id, outdated),
         "REQUEST-VARCREATES": _record(profile, "VarReqCreate", var_id),
         "CREATE-VARIABLES": _record(
             profile,
             "VarCreate",
-            {
-                "spec": Field("spec", var_spec(profile), requirement="VD-TYP-07", doc="static attributes"),
-                "upd": Field("upd", var_update(profile), requirement="VD-TYP-07", doc="current value"),
-            },
+            Field("spec", var_spec(profile), requirement="VD-TYP-07", doc="static attributes"),
+            Field("upd", var_update(profile), requirement="VD-TYP-07", doc="current value"),
         ),
         "DELETE-VARIABLES": _record(profile, "VarDelete", var_id),
     }
@@ -108,11 +93,7 @@ def instruction_records(profile: Profile) -> dict[str, Record]:
 
 def own_record(profile: Profile, container: OwnContainer) -> Record:
     """The record type of a container type of the implementation's own."""
-    fields = {
-        **spec_fields(profile),
-        "seqno": _seqno(profile, "sequence number"),
-        "value": _value(profile),
-    }
+    fields = (*spec_fields(profile), _seqno(profile, "sequence number"), _value(profile))
     return Record(container.type_name, *members(container.record, fields), requirement="VD-TYP-07")
 
 
