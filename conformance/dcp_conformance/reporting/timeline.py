@@ -30,14 +30,7 @@ def timeline_of(case: CaseResult, apart: Frames) -> Iterator[dict[str, Any]]:
     for index, event in enumerate(events):
         if skipped > 0 and _LINES <= index < len(events) - _LINES:
             if index == _LINES:
-                yield {
-                    "time": "",
-                    "arrow": "",
-                    "who": "",
-                    "frame": 0,
-                    "text": f"... {skipped} lines ...",
-                    "kind": "note",
-                }
+                yield _note(f"... {skipped} lines ...")
             continue
         yield {
             "time": f"{(event.time - begin) / 1e6:.1f}",
@@ -67,10 +60,13 @@ def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict
         if alike[0]["kind"] != "heard" or len(repeated) <= _REPEATED:
             shown += alike
             continue
-        text = f"... {len(repeated)} more like this, until {alike[-1]['time']} ms"
-        shown += alike[:_REPEATED]
-        shown.append({"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"})
+        note = _note(f"... {len(repeated)} more like this, until {alike[-1]['time']} ms")
+        shown += [*alike[:_REPEATED], note]
     return shown
+
+
+def _note(text: str) -> dict[str, Any]:
+    return {"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"}
 
 
 def _without_number(line: dict[str, Any]) -> str:

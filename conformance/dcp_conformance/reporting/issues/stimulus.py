@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dcp_conformance.model.results import CaseResult, Check
+from dcp_conformance.reporting.frames import octets_of
 
 #: Parts of the names of services that only query the implementation and do not change its state.
 _QUERIES = ("Describe", "Read", "Get", "List", "Query", "Table", "Hello", "Status")
@@ -38,7 +39,7 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
     end = max(last, min(failed, len(events))) if seen else failed
     found: list[Step] = []
     for event in events[: end + 1]:
-        octets = _octets(event.octets) if event.direction == "sent" else b""
+        octets = octets_of(event) if event.direction == "sent" else b""
         if octets or event.direction == "call":
             found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text))
     begin = found[0].time if found else 0.0
@@ -56,10 +57,3 @@ def _is_query(text: str) -> bool:
 
 def _is_finding(text: str, check: Check) -> bool:
     return text.startswith(f"{check.verdict}: {check.expected}")
-
-
-def _octets(text: str) -> bytes:
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        return b""

@@ -67,12 +67,7 @@ def _environment() -> Environment:
         autoescape=False,  # noqa: S701
         keep_trailing_newline=True,
     )
-    found.filters["md"] = markdown
-    found.filters["literal"] = repr
-    found.filters["comment"] = comment
-    found.filters["code"] = code
-    found.filters["c_octets"] = c_octets
-    found.filters["py_octets"] = py_octets
+    found.filters.update(md=markdown, literal=repr, comment=comment, code=code, c_octets=c_octets, py_octets=py_octets)
     return found
 
 
