@@ -36,6 +36,22 @@ _LOOKED_INTO: Final = 200
 _UNHEARD: Final = 64
 
 
+#: A bench needs a case.
+_CASE: Final = Case(
+    id="TC_DCP_FUZZ_BI_01",
+    purpose="a sequence of the fuzzer",
+    requirements=ROBUSTNESS,
+    kind=Kind.INVALID,
+    stimulus="drawn by chance",
+    expect="it lives and answers",
+    window=4,
+    section="Fuzzing",
+    module=__name__,
+    run=lambda bench: None,  # noqa: ARG005 - the fuzzer drives the bench itself
+    robustness=True,
+)
+
+
 class NotAliveError(ConformanceError):
     """The implementation was not alive before the first frame, or cannot be brought back after an effect."""
 
@@ -92,7 +108,7 @@ class LiveTarget:
 
         Raises :class:`NotAliveError` if it does not answer, ``LowerTesterError`` if the link cannot be used.
         """
-        bench = Bench(self.session, _case("a sequence of the fuzzer"))
+        bench = Bench(self.session, _CASE)
         if self._needs_restart():
             self._restart()
         else:
@@ -306,22 +322,6 @@ def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
             for container in payload.vardis or ():
                 found.update(map(var_id_of, container.records))
     return found
-
-
-def _case(purpose: str) -> Case:
-    return Case(
-        id="TC_DCP_FUZZ_BI_01",
-        purpose=purpose,
-        requirements=ROBUSTNESS,
-        kind=Kind.INVALID,
-        stimulus="drawn by chance",
-        expect="it lives and answers",
-        window=4,
-        section="Fuzzing",
-        module=__name__,
-        run=lambda bench: None,  # noqa: ARG005 - the fuzzer drives the bench itself
-        robustness=True,
-    )
 
 
 __all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out"]

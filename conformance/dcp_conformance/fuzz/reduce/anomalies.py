@@ -52,11 +52,6 @@ class Anomaly(msgspec.Struct, frozen=True):
     """Requirements that a receiver violates if it does not survive the anomaly."""
 
     @property
-    def is_damage(self) -> bool:
-        """Whether a frame with this anomaly is invalid in the profile."""
-        return self.reason in REASONS or self.reason == "empty-frame"
-
-    @property
     def meaning(self) -> str:
         """Description of the reason."""
         return REASONS.get(self.reason) or WARNINGS.get(self.reason) or _EXTREMES[self.reason]
