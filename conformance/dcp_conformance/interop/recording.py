@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from dcp_codec.capture import CaptureError, Frame, create_capture
-from dcp_conformance.errors import UsageError
+from dcp_codec.capture import Frame
+from dcp_conformance.reporting.recordings import write_frames
 
 from .judge import frames_of
 from .results import CellResult
@@ -70,9 +70,4 @@ def _write(path: Path, frames: list[Frame], result: CellResult, link: str) -> No
             "command": result.rerun,
         }
     }
-    try:
-        with create_capture(path, metadata=about) as writer:
-            for frame in frames:
-                writer.write(frame)
-    except CaptureError as error:
-        raise UsageError(str(error)) from None
+    write_frames(path, frames, about)
