@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
-from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say
@@ -62,16 +61,12 @@ def obstacle(test: NetworkTest, a: Implementation, b: Implementation, world: Wor
     for each in (a, b):
         for entity in test.entities:
             profile = get_codec(each.profile).profile
-            if not getattr(each, entity) or not _has(profile, entity):
+            if not getattr(each, entity) or (entity == "srp" and not profile.srp.is_report):
                 return f"an implementation has no {entity}"
         version = get_codec(meeting or each.profile).profile.spec_version
         if not test.since <= version <= test.until:
             return f"the test is about versions {test.since} to {test.until}, not {version}"
     return ""
-
-
-def _has(profile: Profile, entity: str) -> bool:
-    return bool(profile.srp.is_report) if entity == "srp" else True
 
 
 def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: Stop | None = None) -> CellResult:

@@ -201,13 +201,9 @@ class Sweep:
     def _encoded(self, blocks: list[Payload]) -> Iterator[bytes]:
         """Yield a beacon of these blocks, unless it exceeds the size of a frame or the range of a length field."""
         try:
-            octets = self._samples.beacon(*blocks)
+            octets = self._envelope(blocks)
         except EncodeError:
-            # Some blocks contain octets instead of values of the profile.
-            try:
-                octets = self._envelope(blocks)
-            except EncodeError:
-                return
+            return
         if len(octets) <= max(1500, self.codec.profile.limits.max_beacon_size):
             yield octets
 

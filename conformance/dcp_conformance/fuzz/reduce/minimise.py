@@ -17,6 +17,7 @@ import msgspec
 from dcp_codec.codec import Codec
 from dcp_conformance.fuzz.steps import STOPPED, Effect, Frame, Step, Wait
 
+from .anomalies import anomalies
 from .shrinking import shrinker_of
 
 #: Number of attempts that a hang counts as, in addition: it takes the whole time limit of a test.
@@ -163,7 +164,7 @@ class Minimiser:
         if self._shrinker is None or self._first.kind not in STOPPED:
             return False
         frames = dict.fromkeys(step for step in reversed(steps) if isinstance(step, Frame))
-        damaged = (frame for frame in frames if self._shrinker.is_damaged(frame.octets))
+        damaged = (frame for frame in frames if anomalies(self._shrinker.codec, frame.octets))
         return any(self._shows([frame]) for frame in itertools.islice(damaged, _ALONE))
 
     def _last(self, steps: list[Step], least: int) -> bool:

@@ -62,10 +62,6 @@ class Shrinker:
                 break
         return work.octets
 
-    def is_damaged(self, octets: bytes) -> bool:
-        """Return whether a frame has an anomaly."""
-        return bool(anomalies(self.codec, octets))
-
     def sound_forms(self, octets: bytes) -> list[bytes]:
         """Return the frame with one anomaly repaired, for each anomaly that can be repaired."""
         found = (self.repairs.repaired(octets, anomaly) for anomaly in anomalies(self.codec, octets))

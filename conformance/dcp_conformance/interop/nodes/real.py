@@ -166,7 +166,8 @@ class RealWorld(World):
     def _refuse_other_identifiers(self) -> None:
         """Raise if the upper tester of a station reports another node identifier than the station was given."""
         for each in self._stations:
-            if each.on and each.node_id and not _same(each.node_id, self.places[each.place].node_id):
+            told, given = each.node_id, node_text(self.places[each.place].node_id)
+            if each.on and told and told.replace(":", "").lower() != given.replace(":", "").lower():
                 self._refuse(each.place, each.node_id)
 
     def _refuse(self, number: int, uses: str) -> None:
@@ -306,7 +307,3 @@ class RealWorld(World):
     def close(self) -> None:
         """End everything and remove it."""
         self._closing.close()
-
-
-def _same(told: str, node_id: bytes) -> bool:
-    return told.replace(":", "").lower() == node_text(node_id).replace(":", "").lower()
