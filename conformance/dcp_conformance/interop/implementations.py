@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -274,19 +274,3 @@ def _layout(each: Implementation, profile: str) -> tuple[Types, Any]:
 def resolve(names: Iterable[str], known: Mapping[str, Implementation]) -> dict[str, Implementation]:
     """Return implementations by name: those of a file, else built-in ones. Raises ``UsageError``."""
     return {name: known[name] if name in known else built_in(name) for name in names}
-
-
-__all__: Sequence[str] = [
-    "BUILT_IN",
-    "Description",
-    "Implementation",
-    "Matrix",
-    "OfferedNode",
-    "built_in",
-    "command_of",
-    "load_description",
-    "meeting_profile",
-    "resolve",
-    "upper_tester_of",
-    "virtual_setup",
-]

@@ -240,22 +240,3 @@ def lines(found: BehaviourGroup) -> Iterator[str]:
             most = "-" if each.most is None else each.most
             counts = f"{each.after}\t{each.before}\t{each.least}\t{most}"
             yield f"E\t{each.kind}\t{each.number}\t{each.octets or '-'}\t{counts}"
-
-
-__all__ = [
-    "LISTS",
-    "BehaviourGroup",
-    "Event",
-    "Expect",
-    "Settings",
-    "Step",
-    "Vector",
-    "answered",
-    "events_of",
-    "flat",
-    "judged",
-    "lines",
-    "load",
-    "matches",
-    "profiles",
-]

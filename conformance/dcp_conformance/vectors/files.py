@@ -165,6 +165,3 @@ def wire_digests(vectors: Iterable[wire.Vector]) -> dict[str, list[str]]:
 def behaviour_digests(found: behaviour.BehaviourGroup) -> list[str]:
     """Return the digests of behaviour vectors."""
     return [digest(each) for each in found.tests]
-
-
-__all__ = ["Note", "WireFile", "digest", "files", "notes_of", "schema", "wire_digests", "wire_file", "write"]

@@ -331,6 +331,3 @@ def lines(codec: Codec, found: Iterable[Vector]) -> Iterator[str]:
             numbers = str(problem.needed or 0), str(problem.available or 0)
             why = (problem.reason, str(problem.offset), problem.requirement or "-", name or "-", *numbers)
             yield "\t".join(("R", each.tc_id, octets, *why))
-
-
-__all__ = ["Expected", "Vector", "expected_of", "lines", "tokens", "vectors"]

@@ -10,7 +10,7 @@ import time
 from typing import Final
 
 from dcp_codec.errors import DecodeError
-from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
+from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.survival.life import DEATH_PATIENCE
 from dcp_conformance.execution.target import Target as Opened
 from dcp_conformance.frames.received import var_id_of
@@ -322,6 +322,3 @@ def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
             for container in payload.vardis or ():
                 found.update(map(var_id_of, container.records))
     return found
-
-
-__all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out"]

@@ -190,6 +190,3 @@ def _kind(event: str) -> str:
     if name in ("payload", "report") or name.startswith(("RTDB-Describe", "VD-", "SRP-")):
         return name
     return "RTDB" if name.startswith("RTDB") else "records"
-
-
-__all__ = ["ModelTarget", "OnLink", "machine_for", "never_reached", "run_search"]

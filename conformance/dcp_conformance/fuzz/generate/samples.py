@@ -67,6 +67,3 @@ class Samples:
         if self.codec.report_plan is not None:
             found.append(self.beacon(self.report()))
         return [*found, self.beacon(self.other())]
-
-
-__all__ = ["OTHER_PROTOCOL", "TEXT", "Samples"]

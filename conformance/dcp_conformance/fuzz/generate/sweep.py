@@ -275,6 +275,3 @@ class SweepFirst(Joined):
             self.kinds = (NAME,)
             return self._left.pop()
         return super().draw()
-
-
-__all__ = ["NAME", "Sweep", "SweepFirst"]

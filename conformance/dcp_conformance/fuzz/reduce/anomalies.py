@@ -136,6 +136,3 @@ def _violated(anatomy: Anatomy, reason: str, path: str) -> tuple[str, ...]:
     # BP delivers an empty payload to VarDis, and either of them may crash on it.
     in_vardis = reason == "empty-payload" and _protocol(anatomy, path) == f" of {PROTOCOLS[int(BP_PROTID_VARDIS)]}"
     return ("BP-RX-16", "VD-ROB-01") if in_vardis else ("BP-RX-16",)
-
-
-__all__ = ["Anomaly", "Kinds", "anomalies", "anomalies_of", "kinds_of"]

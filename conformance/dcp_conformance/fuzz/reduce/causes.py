@@ -139,6 +139,3 @@ def _content(beacon: Beacon) -> str:
     }
     kinds |= {type(payload.srp).__name__ for payload in beacon.payloads if payload.srp is not None}
     return f"a valid beacon with {', '.join(sorted(kinds)) or 'nothing that is known'}"
-
-
-__all__ = ["Cause", "cause_of", "death_of", "decided_by", "explained"]

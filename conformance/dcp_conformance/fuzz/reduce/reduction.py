@@ -100,6 +100,3 @@ class Reduction:
             return True
         again = self.fresh(found.steps)
         return again is not None and again.signature == found.effect.signature
-
-
-__all__ = ["Finding", "Reduction", "not_minimised"]

@@ -268,6 +268,3 @@ def _changed(anatomy: Anatomy, changes: Sequence[Change]) -> bytes:
         if field is not None:
             edits.append(Edit(field.offset, field.offset + field.length, new, field))
     return anatomy.edited(edits)
-
-
-__all__ = ["Attempt", "Shrinker", "shrinker_of"]
