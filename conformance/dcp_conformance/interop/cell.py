@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -197,9 +198,7 @@ def _reason(checks: list[Check], verdict: Verdict) -> str:
 
 
 def _stations(test: NetworkTest, world: World) -> Iterator[StationResult]:
-    sent: dict[int, int] = {}
-    for each in world.sent():
-        sent[each.place] = sent.get(each.place, 0) + 1
+    sent = Counter(each.place for each in world.sent())
     for place in world.places:
         yield StationResult(
             place=place.number,
@@ -207,7 +206,7 @@ def _stations(test: NetworkTest, world: World) -> Iterator[StationResult]:
             profile=place.codec.profile.name,
             node_id=node_text(place.node_id),
             neighbours=test.shape.neighbours(place.number),
-            beacons=sent.get(place.number, 0),
+            beacons=sent[place.number],
             death=world.deaths().get(place.number, ""),
         )
 

@@ -16,17 +16,13 @@ from .results import CellResult
 from .world import Received, Sent, World
 
 
-def folder_of(result: CellResult) -> str:
-    """The name of a cell's folder in a report."""
-    return "/".join(re.sub(r"[^A-Za-z0-9._@+=-]", "_", each) for each in ("cells", result.a, result.b, result.test))
-
-
 def write_recordings(result: CellResult, world: World, folder: Path) -> CellResult:
     """Write ``all.mcap`` and ``place-N.mcap``; returns the result with their names, relative to ``folder``.
 
     Raises ``UsageError`` if a file cannot be written.
     """
-    name = folder_of(result)
+    parts = ("cells", result.a, result.b, result.test)
+    name = "/".join(re.sub(r"[^A-Za-z0-9._@+=-]", "_", each) for each in parts)
     directory = folder / name
     directory.mkdir(parents=True, exist_ok=True)
     sent = world.sent()

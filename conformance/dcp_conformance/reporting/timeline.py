@@ -51,7 +51,9 @@ def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict
     apart = {number for each in frames for number in [*each][:MOST_FRAMES]}
 
     def content(line: dict[str, Any]) -> tuple[Any, ...]:
-        return line["kind"], line["who"], _without_number(line), line["frame"] in apart and line["frame"]
+        # A beacon of the implementation begins with its sequence number.
+        text = line["text"].partition(" ")[2] if line["kind"] == "heard" else line["text"]
+        return line["kind"], line["who"], text, line["frame"] in apart and line["frame"]
 
     shown: list[dict[str, Any]] = []
     for _, group in groupby(lines, key=content):
@@ -67,9 +69,3 @@ def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict
 
 def _note(text: str) -> dict[str, Any]:
     return {"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"}
-
-
-def _without_number(line: dict[str, Any]) -> str:
-    """Return the text of a line; for a beacon of the implementation, without the sequence number."""
-    text: str = line["text"]
-    return text.partition(" ")[2] if line["kind"] == "heard" else text

@@ -105,15 +105,10 @@ class _Maker:
         self._made = RecordFactory(codec)
         self._example = example_beacon(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
-        present = {each.ic_type: each for each in self._vardis(self._example)}
+        present = {each.ic_type: each for each in self._example.payloads[-1].vardis or ()}
         self._create = present[self._numbers[ICType.CREATE_VARIABLES.label]].records[0]
         version = codec.profile.spec_version
         self._readings = {each.id for each in readings().values() if version.is_within(each.since, each.until)}
-
-    def _vardis(self, beacon: Beacon) -> tuple[Container, ...]:
-        found = beacon.payloads[-1].vardis
-        assert found is not None
-        return found
 
     # -- valid messages ----------------------------------------------------------------------------------------
 

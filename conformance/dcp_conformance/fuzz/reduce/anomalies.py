@@ -15,10 +15,8 @@ from dcp_spec.reasons import REASONS, WARNINGS
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
-from dcp_codec.plan.tree import Many
 from dcp_codec.testing.mutation import generic
 from dcp_codec.texts import PROTOCOLS
-from dcp_codec.views.fields import Field
 
 from .anatomy import Anatomy
 
@@ -69,7 +67,9 @@ def anomalies_of(anatomy: Anatomy) -> list[Anomaly]:
     found = [_anomaly(anatomy, problem) for problem in _once(anatomy.dissection.problems)]
     if anatomy.dissection.padding and not anatomy.dissection.errors:
         found.append(_extreme(anatomy, "trailing-octets", ""))
-    found += [_extreme(anatomy, _LEVELS[each.name], each.path) for each in anatomy.lists() if _is_long(each)]
+    for each in anatomy.lists():
+        if len(each.children) > _MANY.get(each.name, len(each.children)):
+            found.append(_extreme(anatomy, _LEVELS[each.name], each.path))
     return found
 
 
@@ -101,10 +101,6 @@ def _anomaly(anatomy: Anatomy, problem: Problem) -> Anomaly:
 def _extreme(anatomy: Anatomy, reason: str, path: str) -> Anomaly:
     kind = f"{reason} at {generic(path)}" if path else reason
     return Anomaly(reason, path, kind, kind, _violated(anatomy, reason, path))
-
-
-def _is_long(field: Field) -> bool:
-    return isinstance(field.layout, Many) and len(field.children) > _MANY.get(field.name, len(field.children))
 
 
 def _region(where: str) -> str:

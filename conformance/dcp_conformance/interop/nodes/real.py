@@ -149,19 +149,16 @@ class RealWorld(World):
                 self._refuse_other_identifiers()
                 break
             waited = time.monotonic() - begin
-            if waited > max(each.ready_s for each in self._pending):
-                self._give_up(waiting)
+            longest = max(each.ready_s for each in self._pending)
+            if waited > longest:
+                # Nothing can be judged: these stations do not even listen.
+                self._pending = []
+                raise ConformanceError(f"not ready within {longest:g} s: {self._missing(waiting)}")
             if waited > _QUIET and not told and self._on_wait is not None:
                 told = True
                 self._on_wait(f"waiting for {self._missing(waiting)}")
             self._listen(0.02)
         self._paused += round((time.monotonic() - begin) * 1e9)
-
-    def _give_up(self, waiting: Mapping[Station, str]) -> None:
-        """Raise for stations that are absent: nothing can be judged. They do not even listen."""
-        self._pending = []
-        longest = max(each.ready_s for each, missing in waiting.items() if missing)
-        raise ConformanceError(f"not ready within {longest:g} s: {self._missing(waiting)}")
 
     def _refuse_other_identifiers(self) -> None:
         """Raise if the upper tester of a station reports another node identifier than the station was given."""
