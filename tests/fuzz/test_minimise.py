@@ -7,7 +7,7 @@ import random
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.reduce.causes import kinds_in
+from dcp_conformance.fuzz.reduce.anomalies import anomalies
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation_values import valid_beacons
@@ -44,7 +44,7 @@ def test_only_parts_of_a_frame_that_the_effect_needs_are_kept():
     found = Minimiser(run, effect(0), CODEC).minimise([Frame(bytes(octets), valid)])
     assert found is not None
     [step] = found.steps
-    assert kinds_in(CODEC, step.octets) == ["bad-version at bp.version"]
+    assert [each.kind for each in anomalies(CODEC, step.octets)] == ["bad-version at bp.version"]
     assert len(step.octets) <= len(Samples(CODEC).each()[0]) + 2
 
 

@@ -14,6 +14,7 @@ from dcp_conformance.fuzz.reduce.anatomy import Anatomy
 from dcp_conformance.fuzz.reduce.anomalies import anomalies, kinds_of
 from dcp_conformance.fuzz.reduce.repairs import Repairs
 from dcp_conformance.fuzz.reduce.shrinking import Shrinker
+from dcp_spec.reasons import REASONS
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool
@@ -154,7 +155,7 @@ def test_each_anomaly_can_be_repaired_by_itself(name):
             assert after <= before
             assert after[anomaly.kind] < before[anomaly.kind]
             seen += 1
-            if anomaly.is_damage:
+            if anomaly.reason in REASONS or anomaly.reason == "empty-frame":
                 damaged += 1
                 isolated = shrinker.isolated(octets, anomaly)
                 if isolated is not None:

@@ -29,7 +29,7 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
     check, are compared by requirement.
     """
     from dcp_conformance.reporting import load_results
-    from dcp_conformance.reporting.merge import WORSE, compare, contradictions, side_by_side
+    from dcp_conformance.reporting.merge import WORSE, compare, contradict, side_by_side
 
     before, after = load_results(old), load_results(new)
     if before.profile != after.profile:
@@ -39,7 +39,7 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
         )
     if before.kind != after.kind:
         _print_requirements(side_by_side(before, after), (before.kind, after.kind), as_json=as_json)
-        return int(bool(contradictions(before, after)))
+        return int(contradict(before, after))
     changes = compare(before, after)
     if as_json:
         import json

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.atomic_write import write_whole
 from dcp_codec.testing.mutation import Mutator, Touch
 from dcp_conformance.errors import UsageError
 
@@ -331,8 +332,6 @@ def write_state(state: State, directory: Path) -> None:
     path = directory / STATE_FILE
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        beside = path.with_suffix(".new")
-        beside.write_bytes(msgspec.json.format(msgspec.json.encode(state), indent=1) + b"\n")
-        beside.replace(path)
+        write_whole(path, msgspec.json.format(msgspec.json.encode(state), indent=1) + b"\n")
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -32,7 +32,7 @@ from dcp_conformance.test_steps.bp_clients import (
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Question
 
-from .contact import BrokenRule, Contact, Stimulus, stimuli
+from .contact import Contact, Stimulus, stimuli
 from .layouts import stores_reports
 from .settings import PERIODS, first_suspects, look_elsewhere, misnamed, suspect
 
@@ -259,19 +259,19 @@ class _Test:
 # -- rules of the octets -----------------------------------------------------------------------------------------------
 
 
-def _broken_rules(bench: Bench, *, vardis: bool) -> Iterable[BrokenRule]:
+def _broken_rules(bench: Bench, *, vardis: bool) -> Iterable[tuple[Violation, Mark]]:
     """Return the rules that frames of the implementation violate, each requirement once.
 
     What is wrong in client payloads is for cases to find, except in those of VarDis if ``vardis``.
     """
-    found: dict[str, BrokenRule] = {}
+    found: dict[str, tuple[Violation, Mark]] = {}
     events = {each.number: each for each in bench.traffic.events if each.number}
     for heard, each in _violations(bench):
         event = events.get(heard.number)
         inside = ".srp" in each.path or (".vardis" in each.path and not vardis)
         if each.requirement and not inside and each.requirement not in found and event is not None:
             mark = Mark(heard.number, event.start + each.offset, each.length, each.path)
-            found[each.requirement] = BrokenRule(each.requirement, each.expected, each.observed, mark)
+            found[each.requirement] = each, mark
     return found.values()
 
 

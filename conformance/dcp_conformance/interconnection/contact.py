@@ -13,6 +13,7 @@ from typing import Final, Literal
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
+from dcp_conformance.frames.header_rules import Violation
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_system.known import Failure, Question
@@ -61,17 +62,6 @@ _SERVICES: Final[Mapping[str, Stimulus]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class BrokenRule:
-    """A rule of the header or of the blocks that octets of the implementation break."""
-
-    requirement: str
-    expected: str
-    observed: str
-    mark: Mark
-    """The frame in the recording of the case, and the octets in it."""
-
-
-@dataclass(frozen=True, slots=True)
 class Contact:
     """How the implementation and the tester can communicate, as found at the start of a run."""
 
@@ -83,8 +73,8 @@ class Contact:
     """Kinds of stimulus that were answered."""
     unanswered: frozenset[Stimulus]
     """Kinds of stimulus that were not answered. Kinds that were not tried are in neither set."""
-    violations: tuple[BrokenRule, ...] = ()
-    """One for each requirement that the frames violate."""
+    violations: tuple[tuple[Violation, Mark], ...] = ()
+    """One for each requirement that the frames violate, with the frame in the recording of the case."""
     suspicion: str = ""
     """The probable mistake in the setup, or the first thing to check; empty if nothing is wrong."""
     mistaken: bool = False

@@ -17,8 +17,7 @@ from dcp_conformance.upper_tester.patience import NEVER
 
 from . import extraction, layouts
 from .contact import BEGINNING, Contact
-from .notifications import notification_delay
-from .reaction import measure
+from .reaction import measure, notification_delay
 
 #: A bench needs a case; this one is not part of the suite.
 _CASE: Final = Case(

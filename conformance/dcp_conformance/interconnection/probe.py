@@ -25,6 +25,7 @@ from dcp_conformance.lower_tester import Arrival, LowerTester
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from dcp_conformance.test_system.session import Session
+from dcp_conformance.test_system.sut_properties import PIXIT
 from dcp_conformance.upper_tester import Answer, UpperTester
 
 from .findings import prepare
@@ -44,19 +45,7 @@ _JITTER = 0.02
 _LOOKED_AT = 100
 
 #: Where PIXIT values come from, if the implementation tells its parameters.
-PIXIT_OF = {
-    "BPPAR_BEACON_PERIOD": "beacon_period_ms",
-    "BPPAR_NETWORK_ID": "network_id",
-    "BPPAR_MAXIMUM_PACKET_SIZE": "max_packet_size",
-    "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": "neighbour_timeout_ms",
-    "VARDISPAR_MAX_VALUE_LENGTH": "max_value_length",
-    "VARDISPAR_MAX_DESCRIPTION_LENGTH": "max_description_length",
-    "VARDISPAR_MAX_REPETITIONS": "max_repetitions",
-    "VARDISPAR_MAX_PAYLOAD_SIZE": "max_payload_size",
-    "VARDISPAR_MAX_SUMMARIES": "max_summaries",
-    "VARDISPAR_SCRUBBING_PERIOD": "scrubbing_period_ms",
-    "VARDISPAR_BUFFER_CHECK_PERIOD": "buffer_check_period_ms",
-}
+PIXIT_OF = {"BPPAR_BEACON_PERIOD": "beacon_period_ms", "BPPAR_NETWORK_ID": "network_id", **PIXIT}
 _GREATER_THAN_ZERO = frozenset({"beacon_period_ms", "neighbour_timeout_ms", "scrubbing_period_ms"})
 
 
@@ -146,9 +135,9 @@ def _introduce(found: Draft, upper: UpperTester | None) -> bytes | None:
         found.remarks.append("there is no upper tester: claims about services remain undecided")
         return None
     about = upper.about
-    for key, member in (("name", "name"), ("version", "version")):
-        if isinstance(about.get(member), str) and about[member]:
-            found.set("sut", key, about[member], "as UT-Hello says")
+    for key in ("name", "version"):
+        if isinstance(about.get(key), str) and about[key]:
+            found.set("sut", key, about[key], "as UT-Hello says")
     for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
         if method in upper.methods:
             _take_parameters(found, method, upper.call(method, {}))
@@ -181,8 +170,7 @@ def _take_parameters(found: Draft, method: str, answer: Answer) -> None:
         if value < 0 or (value == 0 and key in _GREATER_THAN_ZERO):
             found.remarks.append(f"{method} says {name} = {value}, which makes no sense and is not taken over")
             continue
-        whole = key.endswith("_ms") or isinstance(value, int)
-        if whole:
+        if key.endswith("_ms") or isinstance(value, int):
             found.set("pixit", key, value, f"{name}, as {method} says")
 
 

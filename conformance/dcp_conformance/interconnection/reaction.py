@@ -2,16 +2,18 @@
 
 An implementation may process its buffer every few hundred milliseconds only, compose a payload well before it is sent,
 or take one received payload each time it polls. The specification sets no bound, so the tester measures: it asks a few
-questions one by one, then several at once, and adds a margin to the worst answer.
+questions one by one, then several at once, and adds a margin to the worst answer. It measures the delay of the upper
+tester's notifications, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dcp_spec.constants import ICType, QueueingMode
 
-from dcp_spec.constants import ICType
-
+from dcp_conformance.errors import StopCase, UpperTesterError
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.test_steps.bp_clients import CLIENT, BPClient
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Reaction
 from dcp_conformance.test_system.session import FLOOR
@@ -25,6 +27,10 @@ _FACTOR, _MARGIN = 1.5, 1.0
 #: Answers to a burst within this number of periods belong together: a payload was composed during the burst.
 _TOGETHER = 1.5
 _CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
+#: Number of measurements, the factor for the longest time, and the longest wait for an indication in ns.
+_NOTIFIED, _LATER, _LONGEST = 2, 1.5, 1_000_000_000
+#: Delays in ns up to which notifications count as immediate, and the interval of looking for them.
+_IMMEDIATE, _LOOK = 30_000_000, 5_000_000
 
 
 def measure(bench: Bench) -> Reaction:
@@ -74,7 +80,7 @@ def _ask(bench: Bench, count: int) -> list[float]:
     found: list[float] = []
 
     def answered(heard: ReceivedBeacon) -> bool:
-        new = waiting & set(_requested(heard))
+        new = waiting & {each.var_id for each in heard.instructions(ICType.REQUEST_VARCREATES)}
         found.extend([(heard.time - begun) / bench.period] * len(new))
         waiting.difference_update(new)
         return bool(new)
@@ -87,5 +93,27 @@ def _ask(bench: Bench, count: int) -> list[float]:
     return found
 
 
-def _requested(heard: ReceivedBeacon) -> Iterable[int]:
-    return (each.var_id for each in heard.instructions(ICType.REQUEST_VARCREATES))
+def notification_delay(bench: Bench) -> int:
+    """Return the time in ns by which notifications may be late; 0 if none is received, or if they are immediate.
+
+    It includes the time in which a received frame is processed. Without BP-ReceivePayload.indication, this takes a
+    second. Raises ``LowerTesterError``.
+    """
+    upper = bench.session.upper
+    if upper is None or not set(CLIENT) <= upper.methods:
+        return 0
+    longest = 0
+    try:
+        with BPClient(bench, QueueingMode.ONCE) as client:
+            for number in range(_NOTIFIED):
+                bench.peer().send(Block(client.prot_id, bytes([number]) * 4))
+                begun = bench.now()
+                while len(client.received()) <= number:
+                    if bench.now() - begun > _LONGEST:
+                        return 0
+                    bench.waiting.wait_ns(_LOOK)
+                longest = max(longest, bench.now() - begun)
+    except (StopCase, UpperTesterError):
+        # Cases about these services will report it.
+        return 0
+    return round(_LATER * longest) if longest > _IMMEDIATE else 0

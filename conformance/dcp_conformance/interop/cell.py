@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
 
 import msgspec
-from dcp_spec.profile.definition import Profile
 
+from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say
 from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import ConformanceError
@@ -21,11 +22,11 @@ from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict, worst
 
 from .definition import NetworkTest
-from .implementations import Implementation, codec_of, meeting_profile, virtual_setup
+from .implementations import Implementation, meeting_profile, virtual_setup
 from .judge import deaths, rules
 from .results import CellResult, StationResult
 from .scene import NotApplicableError, Scene, StopError
-from .world import World
+from .world import World, node_text
 
 WorldKind = Literal["virtual", "real"]
 
@@ -60,17 +61,13 @@ def obstacle(test: NetworkTest, a: Implementation, b: Implementation, world: Wor
         return f"needs virtual time: {test.virtual_only}"
     for each in (a, b):
         for entity in test.entities:
-            profile = codec_of(each.profile).profile
-            if not getattr(each, entity) or not _has(profile, entity):
+            profile = get_codec(each.profile).profile
+            if not getattr(each, entity) or (entity == "srp" and not profile.srp.is_report):
                 return f"an implementation has no {entity}"
-        version = codec_of(meeting or each.profile).profile.spec_version
+        version = get_codec(meeting or each.profile).profile.spec_version
         if not test.since <= version <= test.until:
             return f"the test is about versions {test.since} to {test.until}, not {version}"
     return ""
-
-
-def _has(profile: Profile, entity: str) -> bool:
-    return bool(profile.srp.is_report) if entity == "srp" else True
 
 
 def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: Stop | None = None) -> CellResult:
@@ -129,23 +126,20 @@ def _run_once(
 
 
 def _world(cell: Cell, test: NetworkTest) -> World:
-    roles = [cell.implementations["AB".index(role)] for role in test.shape.roles]
-    names = [(cell.a, cell.b)["AB".index(role)] for role in test.shape.roles]
+    roles = {"A": (cell.a, cell.implementations[0]), "B": (cell.b, cell.implementations[1])}
     common = meeting_profile(*cell.implementations)
-    profiles = [common or each.profile for each in roles]
+    chosen = (roles[role] for role in test.shape.roles)
+    stations = [(name, each, common or each.profile) for name, each in chosen]
     if cell.world == "virtual":
         from .nodes.virtual import VirtualWorld
 
-        made = [
-            (name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)
-        ]
+        made = [(name, *virtual_setup(each, profile)) for name, each, profile in stations]
         return VirtualWorld(made, test.shape, cell.seed)
     from .nodes.real import RealWorld
 
     def on_wait(text: str) -> None:
         say(f"{cell.a} with {cell.b}: {test.id}: {text}", err=True)
 
-    stations = list(zip(names, roles, profiles, strict=True))
     return RealWorld(stations, test.shape, cell.seed, on_wait=on_wait)
 
 
@@ -204,17 +198,15 @@ def _reason(checks: list[Check], verdict: Verdict) -> str:
 
 
 def _stations(test: NetworkTest, world: World) -> Iterator[StationResult]:
-    sent: dict[int, int] = {}
-    for each in world.sent():
-        sent[each.place] = sent.get(each.place, 0) + 1
+    sent = Counter(each.place for each in world.sent())
     for place in world.places:
         yield StationResult(
             place=place.number,
             implementation=place.implementation,
             profile=place.codec.profile.name,
-            node_id=place.node_id.decode() if b":" in place.node_id else place.node_id.hex(":"),
+            node_id=node_text(place.node_id),
             neighbours=test.shape.neighbours(place.number),
-            beacons=sent.get(place.number, 0),
+            beacons=sent[place.number],
             death=world.deaths().get(place.number, ""),
         )
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from dcp_spec.catalogue.requirements import requirement
@@ -53,20 +53,15 @@ class Shape:
         """The places that hear ``place``, ascending."""
         return tuple(receiver for sender, receiver in self.pairs if sender == place)
 
-    @property
-    def diameter(self) -> int:
-        """The largest number of hops between two places."""
-        return max(max(self.hops(place).values()) for place in range(len(self.roles)))
-
-    def hops(self, start: int) -> dict[int, int]:
-        """The number of hops from ``start`` to each place."""
-        found, edge = {start: 0}, [start]
-        while edge:
-            reached = [other for place in edge for other in self.neighbours(place) if other not in found]
-            for place in edge:
-                for other in self.neighbours(place):
-                    found.setdefault(other, found[place] + 1)
-            edge = list(dict.fromkeys(reached))
+    def hops(self, start: int, over: Collection[int] | None = None) -> dict[int, int]:
+        """The number of hops from ``start`` to each place that is reached over the places of ``over``; None: all."""
+        found, queue = {start: 0}, [start]
+        # Places are appended while the loop goes on: the nearest ones first.
+        for place in queue:
+            for other in self.neighbours(place):
+                if other not in found and (over is None or other in over):
+                    found[other] = found[place] + 1
+                    queue.append(other)
         return found
 
 
@@ -99,8 +94,6 @@ class NetworkTest:
     """First and last version of the specification that the test applies to."""
     entities: tuple[str, ...] = ("vardis",)
     """Of ``vardis`` and ``srp``: the protocols that all implementations need."""
-    services: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """By role: methods of the upper tester interface that the test calls there."""
     wire: Wire = "same"
     """Whether the implementations speak the same version, or different ones."""
     virtual_only: str = ""
@@ -129,17 +122,18 @@ def network_test(
     since: SpecVersion = SpecVersion.V1_0,
     until: SpecVersion = SpecVersion.V2_0,
     entities: tuple[str, ...] = ("vardis",),
-    services: Mapping[str, str] | None = None,
     wire: Wire = "same",
     virtual_only: str = "",
     rules: bool = True,
+    talking: bool = True,
     short: bool = False,
     longest_s: float | Mapping[str, float] = 10.0,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a network test of ``body(scene)`` for each of ``shapes``; with ``variants`` of ``body(scene, value)``.
 
-    ``requirements`` and ``services`` (by role) are names separated by spaces. ``purpose`` may contain ``{variant}``.
-    ``longest_s``: see :class:`NetworkTest`; a mapping has the seconds of each variant.
+    ``requirements`` are identifiers separated by spaces. ``purpose`` may contain ``{variant}``.
+    ``longest_s``: see :class:`NetworkTest`; a mapping has the seconds of each variant. ``talking``: whether every
+    station that is on must still send at the end.
     Raises ``ValueError`` for an identifier of another form, ``UnknownRequirementError`` for an unknown requirement.
     """
     if not _ID.fullmatch(identifier):
@@ -149,7 +143,6 @@ def network_test(
         raise ValueError(f"{identifier} decides no requirement")
     for each in ids:
         requirement(each)
-    called = {role: tuple(names.split()) for role, names in (services or {}).items()}
 
     def decorate(body: Callable[..., None]) -> Callable[..., None]:
         tests = []
@@ -160,6 +153,8 @@ def network_test(
 
                 def run(scene: Scene, value: Any = value, name: str = name) -> None:
                     body(scene, value) if name else body(scene)
+                    if talking:
+                        scene.expect_talking()
 
                 tests.append(
                     NetworkTest(
@@ -171,7 +166,6 @@ def network_test(
                         since=since,
                         until=until,
                         entities=entities,
-                        services=called,
                         wire=wire,
                         virtual_only=virtual_only,
                         rules=rules,

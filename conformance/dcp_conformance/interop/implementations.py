@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,7 +20,7 @@ import msgspec
 from dcp_spec.profile.loading import ProfileError
 from dcp_spec.profile.types import Types
 
-from dcp_codec.codec import Codec
+from dcp_codec.codec import get_codec
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.input_files import load_file
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
@@ -123,7 +123,7 @@ def _check(each: Implementation) -> None:
                 known = ", ".join(f"{{{known}}}" for known in (*PLACEHOLDERS, *each.parameters))
                 raise UsageError(f"{text!r}: there is no placeholder {{{name}}}; there are {known}")
     for profile in each.profiles:
-        codec_of(profile)
+        get_codec(profile)
 
 
 class OfferedNode(NamedTuple):
@@ -149,7 +149,7 @@ def _offered(name: str) -> OfferedNode:
     kind, _, identifier = name.partition(":")
     if kind == "node":
         program = ("dcp_stack.cli", "run", "--network-id", "{network_id}", "--seed", "{seed}")
-        return OfferedNode("our node", "dcp-2.0", lambda profile: Setup(reference_config(codec_of(profile))), program)
+        return OfferedNode("our node", "dcp-2.0", lambda profile: Setup(reference_config(get_codec(profile))), program)
     for entry in entry_points(group=GROUP, name=kind):
         found: OfferedNode = entry.load()(identifier)
         return found
@@ -171,18 +171,12 @@ def built_in(name: str) -> Implementation:
     offered = _offered(own_name)
     found = Implementation(built_in=own_name, profile=profile or offered.profile, what=offered.what)
     try:
-        codec_of(found.profile)
+        get_codec(found.profile)
     except ProfileError as error:
         raise UsageError(str(error)) from None
     setup, limits = virtual_setup(found, found.profile)
     own = setup.config
     return msgspec.structs.replace(found, limits=limits, srp=own.srp is not None, vardis=own.vardis is not None)
-
-
-@cache
-def codec_of(profile: str) -> Codec:
-    """The codec of a profile. Raises ``ProfileError``."""
-    return Codec(profile)
 
 
 @cache
@@ -240,7 +234,7 @@ def command_of(each: Implementation, profile: str, places: Mapping[str, str]) ->
             raise UsageError(f"{each.built_in} runs in virtual time only (--virtual)")
         words = [sys.executable, "-m", *program, "-i", "{interface}", "--node-id", "{node_id}", "-p", "{profile}"]
         words += ["--control", "{control}"]
-        if "--network-id" in words and not codec_of(profile).profile.has_header_field("networkId"):
+        if "--network-id" in words and not get_codec(profile).profile.has_header_field("networkId"):
             words.remove("--network-id")
             words.remove("{network_id}")
     else:
@@ -273,27 +267,10 @@ def meeting_profile(a: Implementation, b: Implementation) -> str | None:
 
 def _layout(each: Implementation, profile: str) -> tuple[Types, Any]:
     """Return the types of the transmitted fields, and the safety data; variants can differ from their profile."""
-    found = virtual_setup(each, profile)[0].config.profile if each.built_in else codec_of(profile).profile
+    found = virtual_setup(each, profile)[0].config.profile if each.built_in else get_codec(profile).profile
     return found.types, found.srp.safety_data
 
 
 def resolve(names: Iterable[str], known: Mapping[str, Implementation]) -> dict[str, Implementation]:
     """Return implementations by name: those of a file, else built-in ones. Raises ``UsageError``."""
     return {name: known[name] if name in known else built_in(name) for name in names}
-
-
-__all__: Sequence[str] = [
-    "BUILT_IN",
-    "Description",
-    "Implementation",
-    "Matrix",
-    "OfferedNode",
-    "built_in",
-    "codec_of",
-    "command_of",
-    "load_description",
-    "meeting_profile",
-    "resolve",
-    "upper_tester_of",
-    "virtual_setup",
-]

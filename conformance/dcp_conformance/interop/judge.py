@@ -13,7 +13,7 @@ from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 
-from .world import Place, Received, Sent, World
+from .world import Place, Received, Sent, World, node_text
 
 
 def ether_frame(codec: Codec, source: bytes, octets: bytes) -> bytes:
@@ -49,10 +49,6 @@ def deaths(world: World, requirements: tuple[str, ...]) -> Iterator[Check]:
         )
 
 
-def _text(node: bytes) -> str:
-    return node.decode() if b":" in node else node.hex(":")
-
-
 def rules(
     world: World, sent: Sequence[Sent], *, strangers: Collection[bytes] = (), restarts: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Check]:
@@ -63,7 +59,7 @@ def rules(
     all stations share harms none of them, and the report lists it for each implementation.
     ``restarts``: times (ns) and places that were switched on again.
     """
-    played = [_text(each) for each in strangers]
+    played = [node_text(each) for each in strangers]
     profiles: dict[str, Codec] = {}
     for place in world.places:
         profiles.setdefault(place.codec.profile.name, place.codec)
@@ -94,7 +90,9 @@ def rules(
                 if not cited and any(text in check.observed for text in played):
                     continue
                 # A finding that begins with a node concerns it; its frames can be those that the node did not react to.
-                accused = [place.number for place in world.places if check.observed.startswith(_text(place.node_id))]
+                accused = [
+                    place.number for place in world.places if check.observed.startswith(node_text(place.node_id))
+                ]
                 places = accused or sorted(set(cited) & every)
                 who = ", ".join(f"place {n} ({world.places[n].implementation})" for n in places)
                 yield Check(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import msgspec
 from dcp_spec.version import __version__
 
+from dcp_codec.codec import get_codec
 from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.model.declared import declared_by
@@ -20,10 +23,13 @@ from dcp_conformance.model.verdict import Verdict
 
 from .cell import Cell, WorldKind, obstacle, run_cell
 from .definition import NetworkTest, all_tests
-from .implementations import Implementation, codec_of
+from .implementations import Implementation
 from .results import INTERRUPTED, CellResult, ImplementationResult, MatrixResult
 from .workers.pool import run_in_workers
 
+#: A name with a kind of built-in implementations has a colon.
+_NAME: Final = r"((?>(?:node|mutant|variant):[^:]*|[^:]+))"
+_CELL: Final = re.compile(f"{_NAME}:{_NAME}:([^:]+)")
 OnCell = Callable[[CellResult, int, int], None]
 """Called with each result, how many there are, and of how many."""
 
@@ -56,44 +62,28 @@ def parse_only(texts: Iterable[str]) -> list[tuple[str, str, str]]:
     """
     found = []
     for text in texts:
-        names = _names(text.split(":"))
-        if names is None:
+        match = _CELL.fullmatch(text)
+        if match is None:
             raise UsageError(
                 f"--only {text!r}: expected A:B:TEST, for example node:dcp-2.0:node:dcp-2.0:IT_VD_CREATE-pair"
             )
-        found.append(names)
+        found.append((match[1], match[2], match[3]))
     return found
-
-
-def _names(parts: list[str]) -> tuple[str, str, str] | None:
-    names: list[str] = []
-    place = 0
-    while place < len(parts) and len(names) < 2:
-        if parts[place] in ("node", "mutant", "variant") and place + 1 < len(parts):
-            names.append(":".join(parts[place : place + 2]))
-            place += 2
-        else:
-            names.append(parts[place])
-            place += 1
-    rest = parts[place:]
-    return (names[0], names[1], rest[0]) if len(names) == 2 and len(rest) == 1 and all((*names, *rest)) else None
 
 
 def run_seeds(cell: Cell, seeds: int, folder: Path | None = None) -> CellResult:
     """Run a cell with ``seeds`` seeds from its own on; the result is that of the first that does not pass."""
     test = all_tests()[cell.test]
-    first: CellResult | None = None
+    found: CellResult | None = None
     failed: list[int] = []
-    chosen: CellResult | None = None
     for seed in range(cell.seed, cell.seed + seeds):
         result = run_cell(msgspec.structs.replace(cell, seed=seed), test)
-        first = first or result
         if result.verdict is Verdict.NOT_APPLICABLE:
             return result
+        if found is None or (result.verdict is not Verdict.PASS and not failed):
+            found = result
         if result.verdict is not Verdict.PASS:
             failed.append(seed)
-            chosen = chosen or result
-    found = chosen or first
     assert found is not None
     if folder is not None:
         # Again, with recordings: the same seed does the same.
@@ -209,7 +199,7 @@ def run_matrix(
 def _described(name: str, each: Implementation) -> ImplementationResult:
     found: dict[str, list[str]] = {}
     for profile in each.profiles:
-        for identifier, text in declared_by(codec_of(profile).profile).items():
+        for identifier, text in declared_by(get_codec(profile).profile).items():
             found.setdefault(identifier, []).append(f"{profile}: {text}")
     declared = {identifier: "; ".join(texts) for identifier, texts in found.items()}
     return ImplementationResult(name, each.profile, each.what, declared)

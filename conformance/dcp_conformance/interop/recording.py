@@ -8,17 +8,12 @@ from pathlib import Path
 
 import msgspec
 
-from dcp_codec.capture import CaptureError, Frame, create_capture
-from dcp_conformance.errors import UsageError
+from dcp_codec.capture import Frame
+from dcp_conformance.reporting.recordings import write_frames
 
 from .judge import frames_of
 from .results import CellResult
 from .world import Received, Sent, World
-
-
-def folder_of(result: CellResult) -> str:
-    """The name of a cell's folder in a report."""
-    return "/".join(re.sub(r"[^A-Za-z0-9._@+=-]", "_", each) for each in ("cells", result.a, result.b, result.test))
 
 
 def write_recordings(result: CellResult, world: World, folder: Path) -> CellResult:
@@ -26,7 +21,8 @@ def write_recordings(result: CellResult, world: World, folder: Path) -> CellResu
 
     Raises ``UsageError`` if a file cannot be written.
     """
-    name = folder_of(result)
+    parts = ("cells", result.a, result.b, result.test)
+    name = "/".join(re.sub(r"[^A-Za-z0-9._@+=-]", "_", each) for each in parts)
     directory = folder / name
     directory.mkdir(parents=True, exist_ok=True)
     sent = world.sent()
@@ -70,9 +66,4 @@ def _write(path: Path, frames: list[Frame], result: CellResult, link: str) -> No
             "command": result.rerun,
         }
     }
-    try:
-        with create_capture(path, metadata=about) as writer:
-            for frame in frames:
-                writer.write(frame)
-    except CaptureError as error:
-        raise UsageError(str(error)) from None
+    write_frames(path, frames, about)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections import Counter
+from typing import Any, Final, Literal
 
 import msgspec
 
@@ -115,9 +116,14 @@ class MatrixResult(msgspec.Struct, frozen=True, kw_only=True):
             return ""
         return f"{self.ended_early}: {self.unfinished} of {len(self.cells) + self.unfinished} cells were not run"
 
-    def counts(self) -> dict[str, int]:
+    def counts(self) -> Counter[str]:
         """The number of cells by verdict."""
-        found: dict[str, int] = {}
-        for cell in self.cells:
-            found[str(cell.verdict)] = found.get(str(cell.verdict), 0) + 1
-        return found
+        return Counter(str(cell.verdict) for cell in self.cells)
+
+    def implementations_of(self, role: Literal["a", "b"]) -> list[str]:
+        """The names of the implementations in a role, in the order of their cells."""
+        return list(dict.fromkeys(getattr(cell, role) for cell in self.cells))
+
+    def declared(self) -> list[tuple[str, str, str]]:
+        """Implementation, requirement and deviation, for each deviation that a profile declares."""
+        return [(each.name, *item) for each in self.implementations for item in each.declared.items()]

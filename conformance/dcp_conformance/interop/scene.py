@@ -81,19 +81,9 @@ class Scene:
     def limits(self) -> Limits:
         """The strictest limits of all places."""
         each = [place.limits for place in self.world.places]
-        return Limits(
-            value=min(x.value for x in each),
-            description=min(x.description for x in each),
-            repetitions=min(x.repetitions for x in each),
-            summaries=min(x.summaries for x in each),
-            payload=min(x.payload for x in each),
-            variables=min(x.variables for x in each),
-            neighbours=min(x.neighbours for x in each),
-            neighbour_timeout_ms=max(x.neighbour_timeout_ms for x in each),
-            scrubbing_period_ms=max(x.scrubbing_period_ms for x in each),
-            beacon_period_ms=max(x.beacon_period_ms for x in each),
-            buffer_check_ms=max(x.buffer_check_ms for x in each),
-        )
+        names = (name for name in Limits.__struct_fields__ if name != "network_id")
+        strictest = {name: max if name.endswith("_ms") else min for name in names}
+        return Limits(**{name: which(getattr(x, name) for x in each) for name, which in strictest.items()})
 
     def require(self, condition: bool, reason: str) -> None:
         """End the test as not applicable unless ``condition`` holds."""
@@ -215,10 +205,6 @@ class Scene:
         self.note(None, f"partition {' | '.join(str(list(g)) for g in groups)}" if groups else "the partition ends")
         self.world.partition(groups)
 
-    def transmit(self, octets: bytes) -> None:
-        """Broadcast a bearer payload from the tester's own station to all places."""
-        self.world.transmit(octets)
-
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
@@ -289,15 +275,6 @@ class Scene:
                     if octets:
                         yield octets
 
-    def reachable(self, start: int, present: Iterable[int]) -> list[int]:
-        """The places of ``present`` that a record from ``start`` can reach over one another, ascending."""
-        allowed, found = set(present), {start}
-        edge = [start]
-        while edge:
-            edge = [other for place in edge for other in self.shape.neighbours(place) if other in allowed - found]
-            found.update(edge)
-        return sorted(found)
-
     # -- checks --------------------------------------------------------------------------------------------------------
 
     def note(self, place: int | None, text: str, *, frame: int = 0) -> None:
@@ -335,6 +312,16 @@ class Scene:
                         f"place {place} ({self.name(place)}) sent {state} for variable {variable} instead of {wanted}"
                     )
         return found
+
+    def spread_new(self, producer: int, variable: int, value: bytes, **how: Any) -> None:
+        """Create a variable, and check that it spreads; ``how``: as for :meth:`expect_spread`."""
+        self.create(producer, variable, value)
+        self.expect_spread(producer, variable, **how)
+
+    def spread_update(self, producer: int, variable: int, value: bytes, **how: Any) -> None:
+        """Update a variable, and check that the update spreads; ``how``: as for :meth:`expect_spread`."""
+        self.update(producer, variable, value)
+        self.expect_spread(producer, variable, **how)
 
     def expect_spread(
         self,

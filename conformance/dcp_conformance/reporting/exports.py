@@ -14,6 +14,7 @@ from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.markdown import table
 
 from dcp_codec.common.printable import plain
+from dcp_codec.common.spreadsheet import safe_cell
 from dcp_conformance.model.results import CaseResult, RunResult
 from dcp_conformance.model.verdict import Verdict
 
@@ -24,8 +25,6 @@ _COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "sta
 _GREEN, _RED, _GREY, _DARK = "#1b7a3d", "#b42318", "#5f6670", "#3c434c"
 #: Width of a character of a badge in pixels: that of a wide character, because fonts differ.
 _CHARACTER: Final = 6.8
-#: Characters with which a spreadsheet begins a formula.
-_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
 class Row(NamedTuple):
@@ -100,8 +99,7 @@ def requirements_csv(run: RunResult) -> str:
     writer = csv.writer(output)
     writer.writerow(_COLUMNS)
     for row in rows(run):
-        cells = [plain(cell) for cell in row]
-        writer.writerow([f"'{cell}" if cell.startswith(_FORMULA) else cell for cell in cells])
+        writer.writerow([safe_cell(plain(cell)) for cell in row])
     return output.getvalue()
 
 

@@ -10,6 +10,7 @@ from dcp_spec.profile.loading import ProfileError, profile_names
 from dcp_codec.codec import Codec
 from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
+from dcp_conformance.model.input_files import load_file
 from dcp_conformance.model.results import SCHEMA, RunResult
 
 RESULTS = "results.json"
@@ -52,14 +53,7 @@ def load_results(path: Path) -> RunResult:
     Raises :class:`UsageError` if the file cannot be read, is not a result file, or has an unknown schema version.
     """
     file = path / RESULTS if path.is_dir() else path
-    try:
-        octets = file.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be read: {error.strerror or error}") from None
-    try:
-        run = msgspec.json.decode(octets, type=RunResult)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{file}: not a result file of dcp-conformance: {error}") from None
+    run = load_file(file, RunResult, what="a result file of dcp-conformance")
     if run.schema != SCHEMA:
         raise UsageError(f"{file}: follows the schema {run.schema!r}; this version can read {SCHEMA!r} only")
     return run

@@ -108,16 +108,13 @@ def _fields(codec: Codec, apart: DissectedFrame, marked: set[str]) -> Iterator[d
     """Yield the fields of a frame in order, with their depth in the tree; ``marked`` are paths of fields."""
 
     def walk(field: Field, depth: int) -> Iterator[dict[str, Any]]:
-        text = value_text(codec.profile, field)
-        bad = field.path in marked
         inside = isinstance(field.layout, Group) and field.layout.type_name == "Payload"
         yield {
             "depth": depth,
             "name": field.name or field.path.rpartition(".")[2],
             "offset": field.offset,
-            "length": field.length,
-            "value": payload_line(field) if inside else text,
-            "bad": bad,
+            "value": payload_line(field) if inside else value_text(codec.profile, field),
+            "bad": field.path in marked,
         }
         for child in field.children:
             yield from walk(child, depth + 1)

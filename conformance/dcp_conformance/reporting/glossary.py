@@ -13,92 +13,74 @@ from typing import Final, NamedTuple
 class Term(NamedTuple):
     """A term with its definition."""
 
-    key: str
-    """Anchor on the page, without the prefix ``g-``."""
     name: str
     """The term."""
     text: str
     """The definition."""
-    pattern: str
-    """Regular expression for the text of a page that needs the definition."""
+    pattern: str = ""
+    """Regular expression for the text of a page that needs the definition; empty: every page does."""
 
-    def occurs_in(self, page: str) -> bool:
-        """Return whether a page uses the term."""
-        return re.search(self.pattern, page) is not None
+    @property
+    def key(self) -> str:
+        """Anchor on the page, without the prefix ``g-``."""
+        return self.name.lower().replace(" ", "-")
 
 
 _TERMS: Final = (
     Term(
-        "dcp",
         "DCP",
         "Drone Coordination Protocol. It lets the drones of a formation exchange safety data and variables by local"
         " broadcasts. It consists of BP, SRP and VarDis.",
-        "",
     ),
     Term(
-        "bp",
         "BP",
         "Beaconing Protocol. It sends and receives beacons: broadcasts that carry the payloads of its client "
         "protocols.",
-        "",
     ),
     Term(
-        "srp",
         "SRP",
         "State Reporting Protocol, a client of BP. It sends the safety data of a node (position, velocity) and "
         "maintains the neighbour table.",
-        "",
     ),
     Term(
-        "vardis",
         "VarDis",
         "Variable Dissemination Protocol, a client of BP. It replicates variables to all nodes by instructions in "
         "beacons: create, update, delete, summary and request.",
-        "",
     ),
     Term(
-        "sut",
         "SUT",
         "system under test: the system that contains the implementation under test (IUT). In this kit the SUT is "
         "one node.",
         r"\bSUT\b",
     ),
     Term(
-        "upper-tester",
         "Upper tester",
         "the part of the test system that uses the services of the SUT at its upper interface, as an application "
         "would: register, create, read.",
         r"\bupper tester\b",
     ),
     Term(
-        "profile",
         "Profile",
         "wire profile: a TOML file that describes the octets of one version of the specification or of one "
         "implementation.",
-        "",
     ),
     Term(
-        "pics",
         "PICS",
         "protocol implementation conformance statement: the optional features and limits that the implementer "
         "declares.",
         r"\bPICS\b",
     ),
     Term(
-        "pixit",
         "PIXIT",
         "protocol implementation extra information for testing: values that the tester needs, such as the node "
         "identifier, the beacon period and tolerances.",
         r"\bPIXIT\b|\[pixit\]",
     ),
     Term(
-        "requirement",
         "Requirement",
         "one statement of the specification that can be met or violated, with an identifier such as BP-RX-15.",
-        "",
     ),
     Term(
-        "reading",
         "Reading",
         "an interpretation of text of the specification that is contradictory or incomplete, with an identifier "
         "such as X02. Where several readings can be defended, the suite accepts each and reports which one was "
@@ -106,40 +88,34 @@ _TERMS: Final = (
         r"\b[Rr]eadings?\b",
     ),
     Term(
-        "hazard",
         "Hazard",
         "a consequence of the specification that the users of a formation should know, with an identifier such as "
         "H1. No implementation fails because of a hazard.",
         r"\b[Hh]azards?\b",
     ),
     Term(
-        "test-case",
         "Test case",
         "a test purpose with its stimulus and its expectation, and an identifier such as TC_BP_RX_BI_01: protocol, "
         "group, kind (BV valid behaviour, BI invalid behaviour, BO inopportune behaviour, TI timing) and number.",
         r"\bTC_[A-Z]",
     ),
     Term(
-        "rule",
         "Rule",
         "a property that every recording of conforming nodes has, with an identifier such as CK_VD_ANSWER_UPDATE. "
         "dcp-conformance check tests rules.",
         r"\bCK_[A-Z]",
     ),
     Term(
-        "occasion",
         "Occasion",
         "a situation in a recording in which a rule could have been violated.",
         r"\boccasions\b",
     ),
     Term(
-        "verdict",
         "Verdict",
         "the result of a test case, a rule or a requirement. pass: the requirement is met; fail: it is violated; "
         "inconclusive: neither could be shown; info: the specification leaves it open, and the observed behaviour "
         "is reported; error: the tester has a fault; not applicable (n/a): the case does not concern this "
         "implementation; too little: a recording contains too few occasions.",
-        "",
     ),
 )
 
@@ -151,4 +127,4 @@ def terms() -> Mapping[str, Term]:
 
 def terms_of(page: str) -> Iterator[Term]:
     """Yield the terms that a page uses, and those that every page needs."""
-    return (each for each in _TERMS if each.occurs_in(page))
+    return (each for each in _TERMS if re.search(each.pattern, page))

@@ -57,15 +57,6 @@ def compare(old: RunResult, new: RunResult) -> list[Change]:
     return sorted(changes, key=lambda change: order.index(change.kind))
 
 
-@dataclass(frozen=True, slots=True)
-class Contradiction:
-    """A requirement that fails in one of two runs and passes in the other."""
-
-    id: str
-    old: Verdict
-    new: Verdict
-
-
 def side_by_side(old: RunResult, new: RunResult) -> list[tuple[str, Verdict | None, Verdict | None]]:
     """Return the requirements whose verdicts differ between two runs, in the order of the catalogue.
 
@@ -79,13 +70,9 @@ def side_by_side(old: RunResult, new: RunResult) -> list[tuple[str, Verdict | No
     ]
 
 
-def contradictions(old: RunResult, new: RunResult) -> list[Contradiction]:
-    """Return the requirements that pass in one of two runs and fail in the other."""
-    return [
-        Contradiction(identifier, was, is_now)
-        for identifier, was, is_now in side_by_side(old, new)
-        if was is not None and is_now is not None and {was, is_now} == {Verdict.PASS, Verdict.FAIL}
-    ]
+def contradict(old: RunResult, new: RunResult) -> bool:
+    """Return whether a requirement passes in one of two runs and fails in the other."""
+    return any({was, is_now} == {Verdict.PASS, Verdict.FAIL} for _, was, is_now in side_by_side(old, new))
 
 
 def _by_case(run: RunResult) -> dict[str, CaseResult]:

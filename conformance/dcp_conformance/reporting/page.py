@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -14,7 +15,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.common import pages
 from dcp_conformance.check.wording import moment
 from dcp_conformance.model.pics_file import QUESTIONS
-from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
+from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult, summarise
 from dcp_conformance.model.verdict import Verdict
 
 from .frames import Frames
@@ -110,10 +111,8 @@ def _links(run: RunResult) -> dict[str, Any] | None:
 
 def _counts(run: RunResult) -> dict[str, int]:
     """Return the number of requirements with each verdict that occurs."""
-    counts = {str(verdict): 0 for verdict in _ORDER}
-    for verdict in run.requirements.values():
-        counts[str(verdict)] += 1
-    return {name: count for name, count in counts.items() if count}
+    counts = Counter(run.requirements.values())
+    return {str(verdict): counts[verdict] for verdict in _ORDER if counts[verdict]}
 
 
 def _sections(run: RunResult) -> list[dict[str, Any]]:
@@ -142,8 +141,6 @@ def _matrix(run: RunResult, cases: list[dict[str, Any]]) -> Iterator[dict[str, A
             yield {
                 "id": identifier,
                 "statement": entry.statement,
-                "section": entry.section,
-                "level": entry.level,
                 "verdict": str(verdict) if verdict is not None else "inconclusive",
                 "cases": deciding,
             }
@@ -163,78 +160,52 @@ def _failing(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
     """Return a case for the template; ``number`` makes its anchor."""
-    events = {event.frame: event for event in case.evidence if event.frame}
     return {
+        **msgspec.structs.asdict(case),
         "key": f"c{number}",
         "id": case.id if case.attempt == 1 else f"{case.id} (attempt {case.attempt})",
         "verdict": str(case.verdict),
-        "purpose": case.purpose,
-        "section": case.section,
-        "table": case.table,
         "kind": {"BV": "valid", "BI": "invalid", "BO": "inopportune", "TI": "timer"}.get(case.kind, case.kind),
-        "requirements": case.requirements,
-        "stimulus": case.stimulus,
-        "expectation": case.expectation,
-        "window": case.window,
-        "reason": case.reason,
         "explained": any(check.verdict is case.verdict and check.observed for check in case.checks),
-        "duration": case.duration,
-        "executions": case.executions,
-        "checks": _checks(case, events, apart),
+        "checks": _checks(case, apart),
         "to_declare": [(key, QUESTIONS[key]) for key in keys_of(case)],
         "timeline": collapse_repeats(list(timeline_of(case, apart)), case),
-        "left_out": case.left_out,
-        "recording": case.recording,
         "linked": _RECORDING.fullmatch(case.recording) is not None,
-        "rerun": case.rerun,
-        "occasions": case.occasions,
-        "consequence": case.consequence,
-        "show": case.show,
-        "killed": case.killed,
-        "detail": case.error_detail,
         "search": f"{case.id} {case.purpose} {' '.join(case.requirements)} {case.section}".lower(),
     }
 
 
-def _checks(case: CaseResult, events: dict[int, EventRecord], apart: Frames) -> list[dict[str, Any]]:
+def _checks(case: CaseResult, apart: Frames) -> list[dict[str, Any]]:
     """Return the checks of a case for the template.
 
     A frame is dissected at the first check that cites it, with the marks of all checks that cite it.
     """
+    events = {event.frame: event for event in case.evidence if event.frame}
     marks: dict[int, list[Mark]] = {}
     for check in filter(_notable, case.checks):
         for mark in check.frames:
             marks.setdefault(mark.frame, []).append(mark)
     shown: set[int] = set()
-    return [_check(check, marks, events, apart, case, shown) for check in case.checks]
+    found = []
+    for check in case.checks:
+        notable = _notable(check)
+        cited = list(dict.fromkeys(mark.frame for mark in check.frames))
+        here = [number for number in cited if number in events][:MOST_FRAMES] if notable else []
+        new = [number for number in here if number not in shown]
+        shown.update(new)
+        found.append(
+            {
+                **msgspec.structs.asdict(check),
+                "verdict": str(check.verdict),
+                "moment": "" if check.seconds is None else moment(check.seconds),
+                "frames": [apart.frame(events[number], marks[number], begin_of(case)) for number in new],
+                "again": [number for number in here if number not in new],
+                "more": len(cited) - len(here) if notable else 0,
+            }
+        )
+    return found
 
 
 def _notable(check: Check) -> bool:
     """Return whether the page shows the frames of a check: it did not pass, or reports a behaviour with frames."""
     return check.verdict.rank > Verdict.PASS.rank or (check.verdict is Verdict.INFO and bool(check.frames))
-
-
-def _check(
-    check: Check,
-    marks: dict[int, list[Mark]],
-    events: dict[int, EventRecord],
-    apart: Frames,
-    case: CaseResult,
-    shown: set[int],
-) -> dict[str, Any]:
-    """Return a check for the template. Adds the frames that it shows to ``shown``, those of earlier checks."""
-    notable = _notable(check)
-    cited = [number for number in dict.fromkeys(mark.frame for mark in check.frames) if number in events]
-    here = cited[:MOST_FRAMES] if notable else []
-    new = [number for number in here if number not in shown]
-    shown.update(new)
-    return {
-        "verdict": str(check.verdict),
-        "requirements": check.requirements,
-        "expected": check.expected,
-        "observed": check.observed,
-        "moment": "" if check.seconds is None else moment(check.seconds),
-        "frames": [apart.frame(events[number], marks[number], begin_of(case)) for number in new],
-        "again": [number for number in here if number not in new],
-        "more": len(dict.fromkeys(mark.frame for mark in check.frames)) - len(here) if notable else 0,
-    }

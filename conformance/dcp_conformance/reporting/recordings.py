@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -54,6 +55,11 @@ def _write(path: Path, frames: list[Frame], run: RunResult, case: CaseResult) ->
         }
     }
     metadata = about if path.suffix == ".mcap" else {"interface.0": {"name": case.id, "description": case.rerun}}
+    write_frames(path, frames, metadata)
+
+
+def write_frames(path: Path, frames: Iterable[Frame], metadata: dict[str, dict[str, str]]) -> None:
+    """Write frames as a recording. Raises :class:`UsageError` for frames that the format cannot store."""
     try:
         with create_capture(path, metadata=metadata) as writer:
             for frame in frames:

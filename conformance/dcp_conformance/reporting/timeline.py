@@ -30,14 +30,7 @@ def timeline_of(case: CaseResult, apart: Frames) -> Iterator[dict[str, Any]]:
     for index, event in enumerate(events):
         if skipped > 0 and _LINES <= index < len(events) - _LINES:
             if index == _LINES:
-                yield {
-                    "time": "",
-                    "arrow": "",
-                    "who": "",
-                    "frame": 0,
-                    "text": f"... {skipped} lines ...",
-                    "kind": "note",
-                }
+                yield _note(f"... {skipped} lines ...")
             continue
         yield {
             "time": f"{(event.time - begin) / 1e6:.1f}",
@@ -58,7 +51,9 @@ def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict
     apart = {number for each in frames for number in [*each][:MOST_FRAMES]}
 
     def content(line: dict[str, Any]) -> tuple[Any, ...]:
-        return line["kind"], line["who"], _without_number(line), line["frame"] in apart and line["frame"]
+        # A beacon of the implementation begins with its sequence number.
+        text = line["text"].partition(" ")[2] if line["kind"] == "heard" else line["text"]
+        return line["kind"], line["who"], text, line["frame"] in apart and line["frame"]
 
     shown: list[dict[str, Any]] = []
     for _, group in groupby(lines, key=content):
@@ -67,13 +62,10 @@ def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict
         if alike[0]["kind"] != "heard" or len(repeated) <= _REPEATED:
             shown += alike
             continue
-        text = f"... {len(repeated)} more like this, until {alike[-1]['time']} ms"
-        shown += alike[:_REPEATED]
-        shown.append({"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"})
+        note = _note(f"... {len(repeated)} more like this, until {alike[-1]['time']} ms")
+        shown += [*alike[:_REPEATED], note]
     return shown
 
 
-def _without_number(line: dict[str, Any]) -> str:
-    """Return the text of a line; for a beacon of the implementation, without the sequence number."""
-    text: str = line["text"]
-    return text.partition(" ")[2] if line["kind"] == "heard" else text
+def _note(text: str) -> dict[str, Any]:
+    return {"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"}

@@ -45,8 +45,8 @@ def _judge(bench: Bench, contact: Contact) -> None:
     """Turn the contact into checks: broken rules first, then whether the implementation answers."""
     if contact.mistaken:
         bench.inconclusive("the same configuration of tester and implementation", contact.suspicion)
-    for each in contact.violations:
-        bench.proved(False, each.expected, each.observed, each.requirement, frames=[each.mark])
+    for each, mark in contact.violations:
+        bench.proved(False, each.expected, each.observed, each.requirement, frames=[mark])
     if contact.inactive:
         _judge_inactive(bench, contact)
     elif bench.sut.pics.vardis is False:

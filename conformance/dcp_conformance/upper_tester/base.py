@@ -16,11 +16,17 @@ NOT_REACHED: Final = -32003
 #: Errors with which the implementation itself has answered: it made a mistake, refuses a value, or keeps silent.
 _OF_THE_IMPLEMENTATION: Final = frozenset({INTERNAL_ERROR, NOT_A_VALUE, NO_RESPONSE})
 
+_OK: Final = {"BP": BPStatus.OK, "SRP": SRPStatus.OK, "RTDB": VardisStatus.OK, "VD": VardisStatus.OK}
 #: Messages of exceptions that a JSON-RPC library sends with -32603 for an adapter that cannot reach its implementation.
 _UNREACHABLE: Final = re.compile(
     r"connect|refused|broken pipe|reset by peer|no such file|unreachable|timed? ?out|\bEOF\b|ECONN|EPIPE|not running",
     re.IGNORECASE,
 )
+
+
+def status_of_success(method: str) -> str:
+    """The OK of the protocol that a method belongs to."""
+    return str(_OK.get(method.partition("-")[0], "UT-STATUS-OK"))
 
 
 def known_status(status: str) -> bool:

@@ -175,12 +175,9 @@ class ProcessChannel(Channel):
             )
         except OSError as error:
             raise UsageError(f"{name}: {words[0]} cannot be started: {error.strerror or error}") from None
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        self._in = self._process.stdin.fileno()
-        self._out = self._process.stdout.fileno()
-        self._err = self._process.stderr.fileno()
+        pipes = (self._process.stdin, self._process.stdout, self._process.stderr)
+        self._pipes = [each for each in pipes if each is not None]
+        self._in, self._out, self._err = (each.fileno() for each in self._pipes)
         self._err_open = True
         for descriptor in (self._in, self._out, self._err):
             os.set_blocking(descriptor, False)
@@ -217,15 +214,13 @@ class ProcessChannel(Channel):
 
     def close(self) -> None:
         """Close its input, which ends an adapter; then end the program with all that it started."""
-        if self._process.stdin is None or self._process.stdin.closed:
+        if self._pipes[0].closed:
             return
         self._ended = True
-        self._process.stdin.close()
+        self._pipes[0].close()
         end_group(self._process, patience=_END, ask_first=False)
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        self._process.stdout.close()
-        self._process.stderr.close()
+        for each in self._pipes[1:]:
+            each.close()
         self._err_open = False
 
     def end_description(self) -> str:

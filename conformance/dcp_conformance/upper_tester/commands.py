@@ -6,6 +6,7 @@ notifications this way, and only methods that some tool offers.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import select
@@ -18,8 +19,8 @@ from dcp_codec.common.child import end_group, ending
 from dcp_codec.common.printable import printable
 from dcp_conformance.errors import CouldNotAskError, NeverAnsweredError, NoAnswerError, UpperTesterError, UsageError
 
-from .base import METHOD_NOT_FOUND, Answer, Notification
-from .commands_file import Adapter, Method, Reading, converted, load_adapter, placeholders, status_of_success
+from .base import METHOD_NOT_FOUND, Answer, Notification, status_of_success
+from .commands_file import Adapter, Method, Reading, converted, load_adapter, placeholders
 from .patience import Patience
 
 #: Octets of output of a command that are read.
@@ -152,12 +153,8 @@ class CommandUpperTester:
                 f"{where}: the outcome cannot be understood (the command ended with {ending(status)}, and there is no "
                 f"status in its output: {_shown(output)})"
             )
-        answer = Answer(status_text, {"status": status_text})
-        return (
-            Answer(status_text, {"status": status_text, **self._members(where, method, output)})
-            if answer.ok
-            else answer
-        )
+        members = self._members(where, method, output) if Answer(status_text).ok else {}
+        return Answer(status_text, {"status": status_text, **members})
 
     def _status(self, method: Method, output: str) -> str | None:
         pattern = method.status or self._adapter.status
@@ -244,7 +241,10 @@ def _run(where: str, words: list[str], given: bytes, patience: float) -> tuple[i
     output = bytearray()
     try:
         if process.stdin is not None:
-            _give(process, given)
+            # What fits into a pipe, which is more than any parameter has.
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.write(given[:65_536])
+                process.stdin.close()
         ended = _read_all(process, output, time.monotonic() + patience)
     finally:
         end_group(process, patience=_GRACE)
@@ -255,16 +255,6 @@ def _run(where: str, words: list[str], given: bytes, patience: float) -> tuple[i
             f"{_shown(output.decode(errors='replace'))}"
         )
     return process.wait(), output.decode(errors="replace")
-
-
-def _give(process: subprocess.Popen[bytes], given: bytes) -> None:
-    """Write its input: what fits into a pipe, which is more than any parameter has."""
-    assert process.stdin is not None
-    try:
-        process.stdin.write(given[:65_536])
-        process.stdin.close()
-    except BrokenPipeError:
-        return
 
 
 def _read_all(process: subprocess.Popen[bytes], output: bytearray, deadline: float) -> bool:

@@ -19,7 +19,6 @@ from .base import known_status
 
 Kind = Literal["text", "int", "hex", "bool", "octets", "text-octets", "utc"]
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
-_OK = {"BP": "BP-STATUS-OK", "SRP": "SRP-STATUS-OK", "RTDB": "VARDIS-STATUS-OK", "VD": "VARDIS-STATUS-OK"}
 
 
 class Reading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -188,11 +187,6 @@ def parameters_of_methods() -> dict[str, frozenset[str]]:
                 params = definitions[params["$ref"].rpartition("/")[2]]
             found[name.removesuffix(".request")] = frozenset(params.get("properties", ()))
     return found
-
-
-def status_of_success(method: str) -> str:
-    """The OK of the protocol that a method belongs to."""
-    return _OK.get(method.partition("-")[0], "UT-STATUS-OK")
 
 
 def converted(kind: Kind, text: str) -> Any:

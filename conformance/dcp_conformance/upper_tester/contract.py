@@ -12,21 +12,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
 from dcp_conformance.errors import ContractError
 from dcp_stack.control.methods import METHODS, NOTIFICATIONS
 
-from .base import Answer, Notification
+from .base import Answer, Notification, status_of_success
 from .faults import Faults, Violation, shown
 
-#: The status with which a result is checked: that of the answer is for the case to judge.
-_OK: Final = {
-    "BP": str(BPStatus.OK),
-    "SRP": str(SRPStatus.OK),
-    "RTDB": str(VardisStatus.OK),
-    "VD": str(VardisStatus.OK),
-}
 _STATUS: Final = re.compile(r"[A-Za-z]+[-_]STATUS[-_].+")
 #: Members that a successful result must have, beyond those that its type demands for any status.
 _MEMBERS: Final = {
@@ -87,9 +79,8 @@ class Contract:
         if missing:
             broken(f"the result has no member {', '.join(missing)}", "Methods")
         try:
-            msgspec.convert(
-                {**answer.result, "status": _OK.get(method.partition("-")[0], "UT-STATUS-OK")}, known.result
-            )
+            # Whether the status is the right one is for the case to judge.
+            msgspec.convert({**answer.result, "status": status_of_success(method)}, known.result)
         except msgspec.ValidationError as error:
             broken(_worded(error), "Methods")
         for where, what in self._units(method, answer.result):

@@ -83,10 +83,8 @@ class Examination:
     def _bp(self) -> None:
         self._call("BP-ListRegisteredProtocols")
         mode = "BP_QMODE_REPEAT"
-        answer = self._call(
-            "BP-RegisterProtocol", protId=_PROTOCOL, name="examination", maxPayloadSize=8, queueingMode=mode
-        )
-        if answer is None or not answer.ok:
+        about = {"name": "examination", "maxPayloadSize": 8, "queueingMode": mode}
+        if not self._result("BP-RegisterProtocol", protId=_PROTOCOL, **about):
             return
         self._call("BP-TransmitPayload", protId=_PROTOCOL, payload="00ff")
         self._await("BP-PayloadTransmitted.indication", lambda told: told.get("protId") == _PROTOCOL)
@@ -101,17 +99,16 @@ class Examination:
         own = self._upper.about.get("nodeId")
         if self._profile.spec_version <= SpecVersion.V1_1 and isinstance(own, str):
             create["prodId"] = own
-        made = self._call("RTDB-Create", **create)
-        if made is not None and made.ok:
+        made = self._result("RTDB-Create", **create)
+        if made:
             self._await("UT-VariableChanged", lambda told: told.get("varId") == _VARIABLE)
-        listed = self._call("RTDB-DescribeDatabase")
-        variables = listed.result.get("variables") if listed is not None and listed.ok else None
-        if made is not None and made.ok and variables == []:
+        listed = self._result("RTDB-DescribeDatabase")
+        if made and listed.get("variables") == []:
             self._wrong("RTDB-DescribeDatabase", "no variable is listed after RTDB-Create answered OK", "Methods")
         self._call("RTDB-DescribeVariable", varId=_VARIABLE)
-        read = self._call("RTDB-Read", varId=_VARIABLE)
-        if made is not None and made.ok and read is not None and read.ok and read.result.get("value") != _VALUE:
-            self._wrong("RTDB-Read", f"value is {read.result.get('value')!r}, but {_VALUE!r} was created", "Values")
+        read = self._result("RTDB-Read", varId=_VARIABLE)
+        if made and read and read.get("value") != _VALUE:
+            self._wrong("RTDB-Read", f"value is {read.get('value')!r}, but {_VALUE!r} was created", "Values")
         self._call("RTDB-Update", varId=_VARIABLE, value=_NEXT)
         self._call("RTDB-Delete", varId=_VARIABLE)
 
@@ -125,8 +122,7 @@ class Examination:
         """Read all parameters, and set the period to another value; return the initial values by protocol."""
         found: dict[str, dict[str, Any]] = {}
         for protocol in ("BP", "SRP", "VD"):
-            answer = self._call(f"{protocol}-GetParameters")
-            values = answer.result.get("parameters") if answer is not None and answer.ok else None
+            values = self._result(f"{protocol}-GetParameters").get("parameters")
             if not isinstance(values, dict):
                 continue
             found[protocol] = values
@@ -157,14 +153,10 @@ class Examination:
         self._call("UT-Subscribe")
         self._call("UT-Reset")
         for protocol, values in parameters.items():
-            answer = self._call(f"{protocol}-GetParameters")
-            now = answer.result.get("parameters") if answer is not None and answer.ok else None
-            if not isinstance(now, dict):
-                continue
-            if changed := [name for name in (_PERIOD,) if name in values and now.get(name) != values[name]]:
-                name = changed[0]
+            now = self._result(f"{protocol}-GetParameters").get("parameters")
+            if isinstance(now, dict) and _PERIOD in values and now.get(_PERIOD) != values[_PERIOD]:
                 self._faults.forgets_parameters = True
-                what = f"{name} is {now.get(name)} after it, and was {values[name]} at the start"
+                what = f"{_PERIOD} is {now.get(_PERIOD)} after it, and was {values[_PERIOD]} at the start"
                 self._wrong("UT-Reset", f"it does not restore parameters: {what}", "Methods")
         deadline = time.monotonic() + _NOTIFIED
         while listing and before and not before & _OWN <= (now_listed := self._registered()):
@@ -175,8 +167,7 @@ class Examination:
             time.sleep(0.05)
 
     def _registered(self) -> frozenset[int]:
-        answer = self._call("BP-ListRegisteredProtocols")
-        listed = answer.result.get("protocols", ()) if answer is not None and answer.ok else ()
+        listed = self._result("BP-ListRegisteredProtocols").get("protocols", ())
         return frozenset(each["protocolId"] for each in listed)
 
     # -- calls ---------------------------------------------------------------------------------------------------------
@@ -203,6 +194,11 @@ class Examination:
             self._found[method] = Examined(method, "right", str(answer))
         self._told += self._upper.poll()
         return answer
+
+    def _result(self, method: str, **params: Any) -> dict[str, Any]:
+        """Call a method; return the members of a confirm with OK, the status among them; otherwise none."""
+        answer = self._call(method, **params)
+        return answer.result if answer is not None and answer.ok else {}
 
     def _await(self, method: str, fits: Callable[[dict[str, Any]], bool]) -> None:
         """Wait for a notification."""

@@ -95,7 +95,7 @@ class StreamUpperTester:
             raise UpperTesterError(f"{self.name}: it has been closed")
         if self._channel is None:
             # Calls that wait while nothing listens fail together.
-            self._connect_again(_AGAIN if self._unreachable else self._patience.seconds)
+            self.reconnect(_AGAIN if self._unreachable else None)
         if self.faults.forgets_protocols and method == _DEREGISTER and params.get("protId") in _OWN:
             raise CouldNotAskError(f"{self.name}: {self.faults.forgets_protocols}")
         if why := self._patience.refused(method):
@@ -137,17 +137,14 @@ class StreamUpperTester:
 
     # -- connecting --------------------------------------------------------------------------------------------
 
-    def reconnect(self) -> None:
+    def reconnect(self, seconds: float | None = None) -> None:
         """Open the channel, also after a restart of the implementation, and identify the peer.
 
-        Raises ``UpperTesterError`` and ``UsageError``.
+        ``seconds``: time to try, by default the patience. Raises ``UpperTesterError`` and ``UsageError``.
         """
-        self._connect_again(self._patience.seconds)
-
-    def _connect_again(self, seconds: float) -> None:
         self._unreachable = True
         self._patience.renew()
-        self._open(seconds)
+        self._open(self._patience.seconds if seconds is None else seconds)
         self._unreachable = False
 
     def _opened(self, seconds: float) -> Channel:

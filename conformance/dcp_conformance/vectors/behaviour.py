@@ -99,17 +99,17 @@ class Settings(msgspec.Struct, frozen=True, rename="camel"):
     parameters: Mapping[str, Any]
 
 
-class Collection(msgspec.Struct, frozen=True, rename="camel"):
-    """All behaviour vectors of a profile."""
+class BehaviourGroup(msgspec.Struct, frozen=True):
+    """All behaviour vectors of a node with these settings."""
 
     settings: Settings
     tests: Sequence[Vector]
 
 
-def load(profile: str) -> Collection | None:
+def load(profile: str) -> BehaviourGroup | None:
     """Return the behaviour vectors of a profile; None if there are none."""
     path = resources.files("dcp_conformance").joinpath("data", f"behaviour-{profile}.json.gz")
-    return msgspec.json.decode(gzip.decompress(path.read_bytes()), type=Collection) if path.is_file() else None
+    return msgspec.json.decode(gzip.decompress(path.read_bytes()), type=BehaviourGroup) if path.is_file() else None
 
 
 def profiles() -> list[str]:
@@ -219,7 +219,7 @@ def judged(vector: Vector, events: Iterable[Event]) -> Iterator[str]:
 # -- the form for languages without JSON -------------------------------------------------------------------------------
 
 
-def lines(found: Collection) -> Iterator[str]:
+def lines(found: BehaviourGroup) -> Iterator[str]:
     """Yield the vectors as lines of fields that end with tabs.
 
     ``N`` node identifier, wall clock; ``T`` identifier, end; ``F`` time, frame; ``C`` time, statuses, request of the
@@ -240,22 +240,3 @@ def lines(found: Collection) -> Iterator[str]:
             most = "-" if each.most is None else each.most
             counts = f"{each.after}\t{each.before}\t{each.least}\t{most}"
             yield f"E\t{each.kind}\t{each.number}\t{each.octets or '-'}\t{counts}"
-
-
-__all__ = [
-    "LISTS",
-    "Collection",
-    "Event",
-    "Expect",
-    "Settings",
-    "Step",
-    "Vector",
-    "answered",
-    "events_of",
-    "flat",
-    "judged",
-    "lines",
-    "load",
-    "matches",
-    "profiles",
-]

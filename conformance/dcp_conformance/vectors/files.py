@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import msgspec
 from dcp_spec.catalogue.readings import reading
+from dcp_spec.reasons import WARNINGS
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec, get_codec
@@ -39,6 +40,17 @@ class Note(msgspec.Struct, frozen=True, omit_defaults=True):
     """For a reading: the ways to read the text, by name; the vectors follow the first."""
 
 
+class VectorFile(msgspec.Struct, frozen=True, rename="camel"):
+    """The beginning of each file of vectors."""
+
+    schema: str
+    generator_version: str
+    profile: str
+    spec_version: str
+    number_of_tests: int
+    notes: Mapping[str, Note]
+
+
 class WireGroup(msgspec.Struct, frozen=True):
     """The vectors that are valid, or those that are not."""
 
@@ -46,35 +58,16 @@ class WireGroup(msgspec.Struct, frozen=True):
     tests: Sequence[wire.Vector]
 
 
-class WireFile(msgspec.Struct, frozen=True, rename="camel"):
+class WireFile(VectorFile, frozen=True):
     """The content of ``wire.json``."""
 
-    schema: str
-    generator_version: str
-    profile: str
-    spec_version: str
-    number_of_tests: int
-    notes: Mapping[str, Note]
     test_groups: Sequence[WireGroup]
 
 
-class BehaviourGroup(msgspec.Struct, frozen=True):
-    """All behaviour vectors of a node with these settings."""
-
-    settings: behaviour.Settings
-    tests: Sequence[behaviour.Vector]
-
-
-class BehaviourFile(msgspec.Struct, frozen=True, rename="camel"):
+class BehaviourFile(VectorFile, frozen=True):
     """The content of ``behaviour.json``."""
 
-    schema: str
-    generator_version: str
-    profile: str
-    spec_version: str
-    number_of_tests: int
-    notes: Mapping[str, Note]
-    test_groups: Sequence[BehaviourGroup]
+    test_groups: Sequence[behaviour.BehaviourGroup]
 
 
 def notes_of(flags: Iterable[str], meanings: Mapping[str, str]) -> dict[str, Note]:
@@ -93,16 +86,16 @@ def notes_of(flags: Iterable[str], meanings: Mapping[str, str]) -> dict[str, Not
 def wire_file(codec: Codec, vectors: Sequence[wire.Vector]) -> WireFile:
     """Return the content of ``wire.json``."""
     groups = [WireGroup(kind, [each for each in vectors if each.result == kind]) for kind in ("valid", "invalid")]
-    notes = notes_of((flag for each in vectors for flag in each.flags), wire.FLAGS)
+    notes = notes_of((flag for each in vectors for flag in each.flags), WARNINGS)
     version = str(codec.profile.spec_version)
     return WireFile(WIRE, __version__, codec.profile.name, version, len(vectors), notes, groups)
 
 
-def behaviour_file(codec: Codec, found: behaviour.Collection) -> BehaviourFile:
+def behaviour_file(codec: Codec, found: behaviour.BehaviourGroup) -> BehaviourFile:
     """Return the content of ``behaviour.json``."""
     notes = notes_of((flag for each in found.tests for flag in each.flags), {})
-    version, groups = str(codec.profile.spec_version), [BehaviourGroup(found.settings, found.tests)]
-    return BehaviourFile(BEHAVIOUR, __version__, codec.profile.name, version, len(found.tests), notes, groups)
+    version = str(codec.profile.spec_version)
+    return BehaviourFile(BEHAVIOUR, __version__, codec.profile.name, version, len(found.tests), notes, [found])
 
 
 def schema(root: type, title: str) -> dict[str, Any]:
@@ -142,19 +135,17 @@ def _json(value: object) -> bytes:
 
 def write(folder: Path, found: Iterable[tuple[str, bytes]], archive: Path | None = None) -> int:
     """Write files below a folder, and into a zip if ``archive`` is given. Return the number of files."""
-    count = 0
     written = []
     for name, octets in found:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(octets)
         written.append((name, octets))
-        count += 1
     if archive is not None:
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
             for name, octets in sorted(written):
                 target.writestr(zipfile.ZipInfo(name, _DATE), octets, zipfile.ZIP_DEFLATED)
-    return count
+    return len(written)
 
 
 def digest(meaning: object) -> str:
@@ -171,9 +162,6 @@ def wire_digests(vectors: Iterable[wire.Vector]) -> dict[str, list[str]]:
     return found
 
 
-def behaviour_digests(found: behaviour.Collection) -> list[str]:
+def behaviour_digests(found: behaviour.BehaviourGroup) -> list[str]:
     """Return the digests of behaviour vectors."""
     return [digest(each) for each in found.tests]
-
-
-__all__ = ["Note", "WireFile", "digest", "files", "notes_of", "schema", "wire_digests", "wire_file", "write"]

@@ -180,5 +180,3 @@ static void show_real(text_t *t, double number)
         show(t, "f%016" PRIx64, bits);
 }
 """
-
-__all__ = ["show_values"]

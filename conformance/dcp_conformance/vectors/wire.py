@@ -15,7 +15,6 @@ import msgspec
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType
-from dcp_spec.reasons import WARNINGS
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, EncodeError, Problem
@@ -24,7 +23,7 @@ from dcp_codec.jsonform import beacon_from_json, beacon_json
 from dcp_codec.plan.tree import Fill, Many, Rest, Scalar, Text
 from dcp_codec.records import RecordFactory
 from dcp_codec.values import Beacon, Container, Payload
-from dcp_codec.views.fields import Dissection, Field
+from dcp_codec.views.fields import Field
 
 #: A protocol that is neither SRP nor VarDis.
 _OTHER: Final = 3
@@ -84,9 +83,8 @@ class _Message(NamedTuple):
 
     name: str
     octets: bytes
-    fields: bool = False
-    cuts: bool = False
-    elements: bool = False
+    changes: str = ""
+    """Letters: ``f`` of fields, ``c`` cuts, ``e`` of elements of lists."""
 
 
 def vectors(codec: Codec) -> list[Vector]:
@@ -107,15 +105,10 @@ class _Maker:
         self._made = RecordFactory(codec)
         self._example = example_beacon(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
-        present = {each.ic_type: each for each in self._vardis(self._example)}
+        present = {each.ic_type: each for each in self._example.payloads[-1].vardis or ()}
         self._create = present[self._numbers[ICType.CREATE_VARIABLES.label]].records[0]
         version = codec.profile.spec_version
         self._readings = {each.id for each in readings().values() if version.is_within(each.since, each.until)}
-
-    def _vardis(self, beacon: Beacon) -> tuple[Container, ...]:
-        found = beacon.payloads[-1].vardis
-        assert found is not None
-        return found
 
     # -- valid messages ----------------------------------------------------------------------------------------
 
@@ -131,10 +124,10 @@ class _Maker:
                 # The profile has no such type, or a length cannot express it.
                 continue
             if len(octets) <= max(self._profile.limits.max_beacon_size, 1500):
-                yield _Message(name, octets, *("f" in changes, "c" in changes, "e" in changes))
+                yield _Message(name, octets, changes)
 
     def _payloads(self) -> Iterator[tuple[str, list[Payload], str]]:
-        """Yield names, payloads, and the changes: fields, cuts, elements."""
+        """Yield names, payloads, and the changes of a message."""
         yield "example", list(self._example.payloads), "fce"
         for kind in ICType:
             yield f"one {kind.label}", [self._block(self._container(kind, 1))], "fc"
@@ -193,14 +186,14 @@ class _Maker:
         name, octets = message.name, message.octets
         yield name, octets, None
         root = self._codec.dissect(octets).root
-        if message.fields:
+        if "f" in message.changes:
             yield from self._fields(name, octets, root)
-        if message.cuts:
+        if "c" in message.changes:
             for end in _ends(octets, root):
                 yield f"{name}: ends after {end}", octets[:end], None
             for behind in (bytes(1), bytes(20), b"\xff" * 5):
                 yield f"{name}: followed by {behind[:1].hex()} {len(behind)} times", octets + behind, None
-        if message.elements:
+        if "e" in message.changes:
             for field in root.walk():
                 if isinstance(field.layout, Many):
                     for each in field.children:
@@ -232,10 +225,11 @@ class _Maker:
         except DecodeError as error:
             problem = error.problem
             expected = expected_of(problem)
+            comment = f"{name}: {problem.reason}" + (f" of {problem.path}" if problem.path else "")
             disputed += [_BY_REASON[problem.reason]] if problem.reason in _BY_REASON else []
             disputed += ["X34"] if "vardis" in problem.path else []
             return Vector(
-                tc_id, _comment(name, problem), self._flags(disputed), self._holding((problem.requirement,)),
+                tc_id, comment, self._flags(disputed), self._holding((problem.requirement,)),
                 octets.hex(), "invalid", problem=expected,
             )  # fmt: skip
         disputed += ["X02"] if used != len(octets) else []
@@ -243,7 +237,8 @@ class _Maker:
         # JSON has no octets of a NaN.
         same = codec.encode(beacon_from_json(codec, values)) == octets
         leaf = getattr(field.layout, "requirement", None) if field is not None else None
-        named = self._holding((leaf,) if leaf else _named(dissection))
+        every = (getattr(each.layout, "requirement", None) for each in dissection.root.walk())
+        named = self._holding((leaf,) if leaf else every)
         direction = "both" if same else "decode"
         all_flags = (*flags, *self._flags(disputed))
         return Vector(tc_id, name, all_flags, named, octets.hex(), "valid", direction, used, values)
@@ -283,15 +278,6 @@ def _octets_of(raw: bytes, layout: Scalar) -> Iterator[tuple[str, bytes]]:
         yield f"bit {bit} of the first octet", bytes((raw[0] ^ 1 << bit, *raw[1:]))
     if size > 1:
         yield "swapped", raw[::-1]
-
-
-def _comment(name: str, problem: Problem) -> str:
-    return f"{name}: {problem.reason}" + (f" of {problem.path}" if problem.path else "")
-
-
-def _named(dissection: Dissection) -> Iterator[str | None]:
-    """Yield the requirements of the fields of a message."""
-    return (getattr(each.layout, "requirement", None) for each in dissection.root.walk())
 
 
 # -- the form for languages without JSON -----------------------------------------------------------------------------
@@ -340,9 +326,3 @@ def lines(codec: Codec, found: Iterable[Vector]) -> Iterator[str]:
             numbers = str(problem.needed or 0), str(problem.available or 0)
             why = (problem.reason, str(problem.offset), problem.requirement or "-", name or "-", *numbers)
             yield "\t".join(("R", each.tc_id, octets, *why))
-
-
-#: The meanings of the flags of wire vectors, beside the readings.
-FLAGS: Final[Mapping[str, str]] = WARNINGS
-
-__all__ = ["FLAGS", "Expected", "Vector", "expected_of", "lines", "tokens", "vectors"]

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 from dcp_conformance.reference.inprocess import MakeNode, reference_config
-from dcp_conformance.vectors.behaviour import Collection, Vector
+from dcp_conformance.vectors.behaviour import BehaviourGroup, Vector
 from dcp_spec.markdown import table
 
 from dcp_codec.codec import get_codec
@@ -141,7 +141,7 @@ def share(found: Sequence[Killed]) -> str:
 
 
 #: The vectors that are tested, by profile: set before processes are forked, which share them.
-_TESTED: dict[str, Collection] = {}
+_TESTED: dict[str, BehaviourGroup] = {}
 
 
 def _refused(task: tuple[str, int]) -> list[Refused]:
@@ -157,7 +157,7 @@ def _killed(task: tuple[str, str]) -> Killed:
     return kill(profile, mutant, ordered(_TESTED[profile].tests, mutant))
 
 
-def detected_by(profile: str, found: Collection, jobs: int | None = None) -> list[Killed]:
+def detected_by(profile: str, found: BehaviourGroup, jobs: int | None = None) -> list[Killed]:
     """Return the outcome of vectors for each mutant of the node."""
     _TESTED[profile] = found
     mutants = [(profile, each.id) for each in mutants_of(profile)]
@@ -165,7 +165,7 @@ def detected_by(profile: str, found: Collection, jobs: int | None = None) -> lis
     return [killed[place] for place in range(len(mutants))]
 
 
-def refusals(profile: str, found: Collection, jobs: int | None = None) -> list[Refused]:
+def refusals(profile: str, found: BehaviourGroup, jobs: int | None = None) -> list[Refused]:
     """Return the vectors that permitted nodes fail."""
     _TESTED[profile] = found
     places = [(profile, place) for place in range(len(family(profile)))]
@@ -173,7 +173,7 @@ def refusals(profile: str, found: Collection, jobs: int | None = None) -> list[R
     return [each for place in range(len(places)) for each in refused[place]]
 
 
-def campaign(profile: str, found: Collection, jobs: int | None = None) -> Result:
+def campaign(profile: str, found: BehaviourGroup, jobs: int | None = None) -> Result:
     """Test the vectors of a profile."""
     return Result(
         profile=profile,

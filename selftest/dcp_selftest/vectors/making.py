@@ -17,7 +17,7 @@ from dcp_conformance.model.case import Case, all_cases
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.reference.surroundings import UpperTesting, same_clock
 from dcp_conformance.upper_tester import Answer
-from dcp_conformance.vectors.behaviour import Collection, Event, Expect, Settings, Step, Vector, flat
+from dcp_conformance.vectors.behaviour import BehaviourGroup, Event, Expect, Settings, Step, Vector, flat
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import ICType
 
@@ -264,13 +264,13 @@ def _task(task: tuple[str, str, list[Stimulus]]) -> Vector | None:
     return vector(profile, all_cases()[case], stimuli)
 
 
-def collection(profile: str, jobs: int | None = None) -> Collection:
+def collection(profile: str, jobs: int | None = None) -> BehaviourGroup:
     """Return the vectors of all cases of the suite."""
     family(profile)
     tasks = [(profile, case.id, stimuli) for case, stimuli in recorded(get_codec(profile))]
     made = dict(in_processes(_task, tasks, jobs))
     tests = [each for place in range(len(tasks)) if (each := made[place]) is not None]
-    return Collection(settings(profile), tests)
+    return BehaviourGroup(settings(profile), tests)
 
 
 __all__ = ["collection", "family", "parameters", "settings", "traces", "vector"]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import msgspec
-from dcp_conformance.vectors.behaviour import Collection, Vector
+from dcp_conformance.vectors.behaviour import BehaviourGroup, Vector
 
 
-def selected(found: Collection, kept: Collection | None = None) -> Collection:
+def selected(found: BehaviourGroup, kept: BehaviourGroup | None = None) -> BehaviourGroup:
     """Return the shortest vector of each group of cases that differ in a value only, the shortest for each requirement
     that is still without one, and those of ``kept``.
     """

@@ -103,7 +103,8 @@ def test_an_identifier_has_a_form() -> None:
 
 def test_hops_of_networks() -> None:
     assert LINE_5.hops(0) == {0: 0, 1: 1, 2: 2, 3: 3, 4: 4}
-    assert GRID_8.diameter == 4
+    assert max(GRID_8.hops(0).values()) == 4
+    assert GRID_8.hops(0, {0, 1, 4, 6}) == {0: 0, 1: 1, 4: 1}
     assert GRID_8.neighbours(0) == (1, 4)
 
 

@@ -10,7 +10,7 @@ import time
 from typing import Final
 
 from dcp_codec.errors import DecodeError
-from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
+from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.survival.life import DEATH_PATIENCE
 from dcp_conformance.execution.target import Target as Opened
 from dcp_conformance.frames.received import var_id_of
@@ -34,6 +34,22 @@ _PAUSE: Final = 0.1
 _LOOKED_INTO: Final = 200
 #: Maximum number of frames that are sent without reading received frames.
 _UNHEARD: Final = 64
+
+
+#: A bench needs a case.
+_CASE: Final = Case(
+    id="TC_DCP_FUZZ_BI_01",
+    purpose="a sequence of the fuzzer",
+    requirements=ROBUSTNESS,
+    kind=Kind.INVALID,
+    stimulus="drawn by chance",
+    expect="it lives and answers",
+    window=4,
+    section="Fuzzing",
+    module=__name__,
+    run=lambda bench: None,  # noqa: ARG005 - the fuzzer drives the bench itself
+    robustness=True,
+)
 
 
 class NotAliveError(ConformanceError):
@@ -92,7 +108,7 @@ class LiveTarget:
 
         Raises :class:`NotAliveError` if it does not answer, ``LowerTesterError`` if the link cannot be used.
         """
-        bench = Bench(self.session, _case("a sequence of the fuzzer"))
+        bench = Bench(self.session, _CASE)
         if self._needs_restart():
             self._restart()
         else:
@@ -306,22 +322,3 @@ def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
             for container in payload.vardis or ():
                 found.update(map(var_id_of, container.records))
     return found
-
-
-def _case(purpose: str) -> Case:
-    return Case(
-        id="TC_DCP_FUZZ_BI_01",
-        purpose=purpose,
-        requirements=ROBUSTNESS,
-        kind=Kind.INVALID,
-        stimulus="drawn by chance",
-        expect="it lives and answers",
-        window=4,
-        section="Fuzzing",
-        module=__name__,
-        run=lambda bench: None,  # noqa: ARG005 - the fuzzer drives the bench itself
-        robustness=True,
-    )
-
-
-__all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out"]

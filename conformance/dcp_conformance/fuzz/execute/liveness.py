@@ -46,7 +46,9 @@ def lifelessness(bench: Bench, control: SutControl | None, probes: int = PROBES)
         if (gone := dead(control)) is not None:
             return gone
     beacons = len(bench.heard) - begun
-    if _is_busy(bench, begun) and _answers(bench, _LONG):
+    most = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    # Where beacons are more than half full, the answer may be queued after many other records.
+    if any(len(heard.octets) > most // 2 for heard in bench.heard[begun:]) and _answers(bench, _LONG):
         return None
     came = f"{beacons} beacons came" if beacons else "no beacon came"
     detail = f"none of {probes} markers was answered; {came}{_upper_tester(bench)}"
@@ -87,12 +89,6 @@ def begun_again(bench: Bench, before: int | None = None) -> Effect | None:
 def last_number(bench: Bench) -> int | None:
     """Return the sequence number of the last received beacon; None if there was none."""
     return next((heard.seqno for heard in reversed(bench.heard) if heard.seqno is not None), None)
-
-
-def _is_busy(bench: Bench, since: int) -> bool:
-    """Return whether beacons are more than half full, so that an answer may be queued after many other records."""
-    most = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
-    return any(len(heard.octets) > most // 2 for heard in bench.heard[since:])
 
 
 def _answers(bench: Bench, periods: float | None = None) -> bool:

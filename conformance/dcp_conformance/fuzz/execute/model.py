@@ -8,7 +8,7 @@ import functools
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from hypothesis import HealthCheck, Phase, settings
 
@@ -32,6 +32,9 @@ from dcp_conformance.stateful.virtual import VirtualExecutor
 from dcp_conformance.test_system.bench import Bench
 
 from .live import LiveTarget, NotAliveError
+
+#: Services of BP that are not about a client protocol.
+_BP: Final = ("BP-MGMT-Activate", "BP-MGMT-Deactivate", "BP-ListRegisteredProtocols", "BP-SetParameter")
 
 
 class ModelTarget:
@@ -182,16 +185,8 @@ def never_reached(reached: Counter[tuple[str, str]]) -> set[tuple[str, str]]:
 def _kind(event: str) -> str:
     """Return what an event is about."""
     name = event.partition(",")[0]
-    if name in ("payload", "report"):
+    if name.startswith("BP-"):
+        return "BP" if name in _BP else "client"
+    if name in ("payload", "report") or name.startswith(("RTDB-Describe", "VD-", "SRP-")):
         return name
-    if name.startswith("RTDB-Describe") or not name.startswith(("RTDB", "BP-", "VD-", "SRP-")):
-        return "records" if not name.startswith("RTDB") else name
-    return "RTDB" if name.startswith("RTDB") else name if name.startswith(("VD-", "SRP-")) else _bp(name)
-
-
-def _bp(name: str) -> str:
-    whole = ("BP-MGMT-Activate", "BP-MGMT-Deactivate", "BP-ListRegisteredProtocols", "BP-SetParameter")
-    return "BP" if name in whole else "client"
-
-
-__all__ = ["ModelTarget", "OnLink", "machine_for", "never_reached", "run_search"]
+    return "RTDB" if name.startswith("RTDB") else "records"

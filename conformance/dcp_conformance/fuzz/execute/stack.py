@@ -175,6 +175,3 @@ class StackTarget:
             [self._builder.vardis(VarSumm(var_id, 1))],
             network_id=profile.bp.network_id if profile.has_header_field("networkId") else None,
         )
-
-
-__all__ = ["StackTarget"]

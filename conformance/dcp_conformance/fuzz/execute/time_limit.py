@@ -44,6 +44,3 @@ class TimeLimit:
 
 def _raise_time_limit_exceeded(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
     raise TimeLimitExceeded
-
-
-__all__ = ["TIME_LIMIT", "TimeLimit", "TimeLimitExceeded"]

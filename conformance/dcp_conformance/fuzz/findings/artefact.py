@@ -20,7 +20,7 @@ from dcp_codec.framing.envelope import Envelope
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.reduce.causes import Cause, decided_by
 from dcp_conformance.fuzz.reduce.reduction import Finding
-from dcp_conformance.fuzz.steps import Call, EffectKind, Frame, Step, Wait
+from dcp_conformance.fuzz.steps import Call, Effect, EffectKind, Frame, Step, Wait
 from dcp_conformance.model.input_files import load_file
 
 SCHEMA: Final = 1
@@ -114,26 +114,38 @@ def make_artefact(
     profile_text: str = "",
 ) -> Artefact:
     """Return the artefact of a finding that will be saved in ``directory``."""
-    effect, cause = found.effect, found.cause
-    saved = tuple(_saved(step) for step in found.steps)
-    digest = hashlib.sha256(codec.profile.name.encode() + effect.signature.encode() + msgspec.json.encode(saved))
+    decides = found.cause.requirements if found.cause is not None else decided_by(found.effect)
+    steps = tuple(map(_saved, found.steps))
+    made = new_artefact(codec.profile.name, target, found.effect, decides, steps, seed=seed, directory=directory)
+    return msgspec.structs.replace(
+        made, profile_text=profile_text, minimised=found.minimised, confirmed=found.confirmed, cause=found.cause
+    )
+
+
+def new_artefact(
+    profile: str,
+    target: SavedTarget,
+    effect: Effect,
+    requirements: tuple[str, ...],
+    steps: tuple[SavedStep, ...],
+    *,
+    seed: int,
+    directory: Path,
+) -> Artefact:
+    """Return an artefact that will be saved in ``directory``. ``requirements``: those that decide the effect."""
+    digest = hashlib.sha256(profile.encode() + effect.signature.encode() + msgspec.json.encode(steps))
     identifier = f"{effect.kind}-{digest.hexdigest()[:8]}"
     program = "dcp-selftest" if target.mode in ("codec", "stack") else "dcp-conformance"
     again = f"{program} fuzz replay {shlex.quote(f'{directory / identifier}.json')} {target.options}"
-    decides = cause.requirements if cause is not None else decided_by(effect)
     return Artefact(
         id=identifier,
         tool=f"dcp-conformance {__version__}",
-        profile=codec.profile.name,
+        profile=profile,
         seed=seed,
         target=target,
-        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, decides),
-        steps=saved,
+        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, requirements),
+        steps=steps,
         command=again.rstrip(),
-        profile_text=profile_text,
-        minimised=found.minimised,
-        confirmed=found.confirmed,
-        cause=cause,
     )
 
 
@@ -146,25 +158,12 @@ def save(artefact: Artefact, directory: Path) -> Path:
         if artefact.target.mode == "model":
             return path
         if artefact.target.mode != "codec" or all(step.note in ("", "beacon") for step in artefact.steps):
-            save_frames(artefact, directory / f"{artefact.id}.mcap")
+            told = {name: str(getattr(artefact, name)) for name in ("profile", "seed", "tool", "command")}
+            about = {"dcp.fuzz": {"id": artefact.id, "effect": artefact.effect.detail, **told}}
+            write_frames(directory / f"{artefact.id}.mcap", codec_of(artefact), artefact.as_steps(), about)
     except (OSError, CaptureError) as error:
         raise UsageError(f"{path}: cannot be written: {error}") from None
     return path
-
-
-def save_frames(artefact: Artefact, path: Path) -> None:
-    """Write the frames of an artefact as a recording. Raises ``CaptureError`` or ``OSError``."""
-    about = {
-        "dcp.fuzz": {
-            "id": artefact.id,
-            "effect": artefact.effect.detail,
-            "profile": artefact.profile,
-            "seed": str(artefact.seed),
-            "tool": artefact.tool,
-            "command": artefact.command,
-        }
-    }
-    write_frames(path, codec_of(artefact), artefact.as_steps(), about)
 
 
 def write_frames(path: Path, codec: Codec, steps: list[Step], about: dict[str, dict[str, str]]) -> int:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import shlex
-from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
-from dcp_spec.version import __version__
 
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.stateful.driver import Counterexample
 from dcp_conformance.stateful.steps import Step, text
 
-from .artefact import Artefact, SavedEffect, SavedStep, SavedTarget
+from .artefact import Artefact, SavedStep, SavedTarget, new_artefact
 
 
 def artefact_of(
@@ -26,22 +21,9 @@ def artefact_of(
 
     ``name``: that of the implementation. ``options``: those with which a command reaches it.
     """
-    finding = found.finding
     steps = tuple(SavedStep(note=text(each), model=msgspec.to_builtins(each)) for each in found.steps)
-    effect = effect_of(found)
-    digest = hashlib.sha256(profile.encode() + effect.signature.encode() + msgspec.json.encode(steps)).hexdigest()
-    identifier = f"model-{digest[:8]}"
-    again = f"dcp-conformance fuzz replay {shlex.quote(f'{directory / identifier}.json')} {options}"
-    return Artefact(
-        id=identifier,
-        tool=f"dcp-conformance {__version__}",
-        profile=profile,
-        seed=seed,
-        target=SavedTarget("model", name, options=options),
-        effect=SavedEffect("model", effect.detail, effect.step, effect.signature, finding.requirements),
-        steps=steps,
-        command=again.rstrip(),
-    )
+    target, decides = SavedTarget("model", name, options=options), found.finding.requirements
+    return new_artefact(profile, target, effect_of(found), decides, steps, seed=seed, directory=directory)
 
 
 def effect_of(found: Counterexample) -> Effect:
@@ -53,14 +35,10 @@ def effect_of(found: Counterexample) -> Effect:
 
 def steps_of(artefact: Artefact) -> list[Step]:
     """Return the steps of a counterexample; none for another artefact. Raises :class:`UsageError`."""
-    if artefact.target.mode != "model":
-        return []
-    return list(_converted([each.model for each in artefact.steps], artefact.id))
-
-
-def _converted(steps: Sequence[Any], where: str) -> Iterable[Step]:
-    for number, each in enumerate(steps):
+    steps: list[Step] = []
+    for number, each in enumerate(artefact.steps if artefact.target.mode == "model" else ()):
         try:
-            yield msgspec.convert(each, Step)
+            steps.append(msgspec.convert(each.model, Step))
         except msgspec.ValidationError as error:
-            raise UsageError(f"artefact {where}: step {number}: {error}") from None
+            raise UsageError(f"artefact {artefact.id}: step {number}: {error}") from None
+    return steps

@@ -53,14 +53,13 @@ def summary_lines(campaign: Campaign) -> Iterator[str]:
     if len(state.findings) > 1 and state.causes:
         found = sum(each.findings for each in state.causes.values())
         yield f"{found} findings, {len(state.causes)} probable {'cause' if len(state.causes) == 1 else 'causes'}:"
-    told: set[str] = set()
     for counted in sorted(state.causes.values(), key=lambda each: -each.findings):
-        told.add(counted.smallest)
         yield from _one_cause(campaign, counted, known.get(counted.smallest))
     for artefact in campaign.artefacts:
         # Findings of functions in process have no cause.
         if artefact.cause is None:
-            yield from _one_artefact(campaign, artefact)
+            yield headline(artefact)
+            yield from _details(campaign, artefact)
 
 
 def _one_cause(campaign: Campaign, counted: CauseCount, artefact: Artefact | None) -> Iterator[str]:
@@ -77,11 +76,6 @@ def _one_cause(campaign: Campaign, counted: CauseCount, artefact: Artefact | Non
         yield f"  {times}{counted.smallest} ({_size(counted.frames, counted.octets)})"
         return
     yield f"  {times}{headline(artefact)}"
-    yield from _details(campaign, artefact)
-
-
-def _one_artefact(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
-    yield headline(artefact)
     yield from _details(campaign, artefact)
 
 

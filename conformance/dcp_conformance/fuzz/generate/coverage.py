@@ -48,17 +48,11 @@ def tables(
 ) -> Coverage:
     """Return the table of these counters."""
     return Coverage(
-        list(_pairs(fields)),
+        [Pair(what, how, count) for (what, how), count in sorted(fields.items()) if count],
         len(possible),
         sorted(f"{what or 'message'} {how}" for what, how in possible if not fields[what, how]),
         lines,
     )
-
-
-def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
-    for (what, how), count in sorted(counter.items()):
-        if count:
-            yield Pair(what, how, count)
 
 
 def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:

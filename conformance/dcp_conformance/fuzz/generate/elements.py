@@ -12,27 +12,25 @@ from dcp_codec.codec import Codec
 from dcp_codec.testing.draws import Draws
 from dcp_codec.testing.mutation_values import ValidValues
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, VarCreate, VardisRecord
-from dcp_conformance.frames.sampling import sampler
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
+
+from .samples import Samples
 
 #: Base of creation times, in ticks of the profile's clock; far from both ends of the range.
 CREATION: Final = 1_000_000
 
 
-class Parts:
+class Parts(Samples):
     """Factory of random records, and of beacons with them, for a profile."""
 
     def __init__(self, codec: Codec, rng: random.Random) -> None:
-        self.codec = codec
+        super().__init__(codec)
         self.rng = rng
         self._chance = Draws(rng)
         self._values = ValidValues(codec, rng)
-        self._nodes: dict[int, bytes] = {}
         self._seqno = 0
         profile = codec.profile
-        numbers = profile.vardis.container_types.by_name()
-        self._ic_types = {kind: numbers[kind.label] for kind in ICType}
-        self._made = sampler(codec)
+        self._ic_types = {kind: self._numbers[kind.label] for kind in ICType}
         self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
         self._modulus = seqno_modulus(profile.types.var_seqno.width)
         half = self._modulus // 2
@@ -45,13 +43,6 @@ class Parts:
         self._texts = [b"d" * size for size in (1, 4, most, min(most + 1, longest), 0)]
         most = limits.max_repetitions
         self._repetitions = (1, 1, 2, most, min(most + 1, 255), 0)
-
-    def node(self, number: int) -> bytes:
-        """Return the node identifier of a station."""
-        found = self._nodes.get(number)
-        if found is None:
-            found = self._nodes[number] = self.codec.profile.types.node_id.of(self._address(number))
-        return found
 
     def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
         """Return a beacon of a station; consecutive records of one kind share a container."""
@@ -68,10 +59,7 @@ class Parts:
         self._seqno = (self._seqno + 1) % BP_SEQNO_MODULUS
         header = self._made.header(self.node(peer) if sender is None else sender, self._seqno)
         octets = self.codec.encode(Beacon(header, (payload,)))
-        return Frame(octets, octets, source=self._address(peer))
-
-    def _address(self, peer: int) -> bytes:
-        return b"\x02\xdc\x90" + peer.to_bytes(3, "big")
+        return Frame(octets, octets, source=self.address(peer))
 
     def var_id(self) -> int:
         """Return one of a few variable identifiers."""
@@ -83,34 +71,29 @@ class Parts:
         return octets.replace(b"\0", b"\1") if self.codec.profile.types.value.terminated else octets
 
     def create(
-        self, var_id: int, *, peer: int = 1, seqno: int = 0, creation: int = CREATION, producer: bytes | None = None
-    ) -> VarCreate:
-        """Return a VarCreate with attributes that are mostly valid."""
-        rep_cnt, descr, value = self._attributes()
-        producer = self.node(peer) if producer is None else producer
-        return self._made.create(self._made.spec(var_id, producer, rep_cnt, descr, creation), seqno, value)
-
-    def _attributes(self) -> tuple[int, bytes, bytes]:
-        """Return random repetitions, description and value."""
-        rep_cnt = self._chance.one_of(self._repetitions)
-        descr = self._chance.one_of(self._texts)
-        return rep_cnt, descr if self.rng.random() < 0.9 else b"\xff\xfe", self.value()
-
-    def good_create(
         self,
         var_id: int,
         *,
+        good: bool = True,
         timeout: int = 0,
         peer: int = 1,
         seqno: int = 0,
         creation: int = CREATION,
         producer: bytes | None = None,
     ) -> VarCreate:
-        """Return a valid VarCreate; ``timeout`` in ms."""
-        # Draw as many random numbers as create(), so that seeds keep producing the same sequences.
-        self._attributes()
+        """Return a VarCreate: a valid one, or one with random attributes that are mostly valid; ``timeout`` in ms."""
+        # Random numbers are drawn for a valid one as well, so that seeds keep producing the same sequences.
+        rep_cnt, descr, value = self._attributes()
+        if good:
+            rep_cnt, descr, value = 2, b"good", b"good"
         producer = self.node(peer) if producer is None else producer
-        return self._made.create(self._made.spec(var_id, producer, 2, b"good", creation, timeout), seqno, b"good")
+        return self._made.create(self._made.spec(var_id, producer, rep_cnt, descr, creation, timeout), seqno, value)
+
+    def _attributes(self) -> tuple[int, bytes, bytes]:
+        """Return random repetitions, description and value."""
+        rep_cnt = self._chance.one_of(self._repetitions)
+        descr = self._chance.one_of(self._texts)
+        return rep_cnt, descr if self.rng.random() < 0.9 else b"\xff\xfe", self.value()
 
     def seqno(self, around: int = 0) -> int:
         """Return a sequence number near ``around``, half of the number range away from it, or anywhere."""

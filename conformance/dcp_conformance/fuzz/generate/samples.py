@@ -12,8 +12,6 @@ from dcp_conformance.frames.sampling import sampler
 
 #: Protocol identifier that no node implements.
 OTHER_PROTOCOL: Final = 0x77
-#: Address of the sender.
-_STATION: Final = b"\x02\xdc\x90\x00\x00\x01"
 #: Description and value of variables.
 TEXT: Final = b"a"
 
@@ -28,7 +26,11 @@ class Samples:
 
     def node(self, number: int = 1) -> bytes:
         """Return the node identifier of a station."""
-        return self.codec.profile.types.node_id.of(_STATION[:-2] + number.to_bytes(2, "big"))
+        return self.codec.profile.types.node_id.of(self.address(number))
+
+    def address(self, number: int) -> bytes:
+        """Return the link-layer address of a station."""
+        return b"\x02\xdc\x90" + number.to_bytes(3, "big")
 
     def record(self, kind: ICType, var_id: int = 0) -> VardisRecord:
         """Return a record of a kind."""
@@ -65,6 +67,3 @@ class Samples:
         if self.codec.report_plan is not None:
             found.append(self.beacon(self.report()))
         return [*found, self.beacon(self.other())]
-
-
-__all__ = ["OTHER_PROTOCOL", "TEXT", "Samples"]

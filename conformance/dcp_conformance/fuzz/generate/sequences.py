@@ -106,7 +106,7 @@ class Sequences(Parts):
 
     def mutated(self) -> list[Step]:
         """Create a variable, and send mutated frames."""
-        found: list[Step] = [self.frame(self.good_create(self.var_id()))] if self.rng.random() < 0.5 else []
+        found: list[Step] = [self.frame(self.create(self.var_id()))] if self.rng.random() < 0.5 else []
         for _ in range(1 + self._chance.below(5)):
             made = self.mutator.mutate()
             found.append(Frame(made.octets, made.source, ", ".join(f"{path} {name}" for path, name in made.touched)))
@@ -117,16 +117,16 @@ class Sequences(Parts):
         """Send records of all kinds about one variable: its states, numbers near wrap-around, two producers."""
         var_id, number, time, found = self.var_id(), self.seqno(), CREATION, list[Step]()
         if self.rng.random() < 0.7:
-            found.append(self.frame(self.good_create(var_id, seqno=number, timeout=self._chance.one_of((0, 0, 300)))))
+            found.append(self.frame(self.create(var_id, seqno=number, timeout=self._chance.one_of((0, 0, 300)))))
         for _ in range(2 + self._chance.below(5)):
             # The last value is later, but its lower 32 bits are smaller.
             time += self._chance.one_of((0, 1, 1, -1, 256, 65_536, (1 << 32) - 500))
             time = max(0, min(time, self._latest))
-            made = self.good_create if self.rng.random() < 0.7 else self.create
+            good = self.rng.random() < 0.7
             peer, producer = 1 + self._chance.below(2), self.own_id if self.rng.random() < 0.1 else None
             many = range(self._chance.one_of((1, 1, 2, 60)))
             about: list[VardisRecord] = [
-                made(var_id, peer=peer, creation=time, seqno=self.seqno(), producer=producer),
+                self.create(var_id, good=good, peer=peer, creation=time, seqno=self.seqno(), producer=producer),
                 VarDelete(var_id),
                 VarUpdate(var_id, (number + 1) % self._modulus, self.value()),
                 VarUpdate(var_id, self.seqno(number), self.value()),
@@ -145,7 +145,7 @@ class Sequences(Parts):
         for _ in range(1 + self._chance.below(4)):
             text = self.codec.profile.types.node_id.representation == "text"
             others = (self.own_id, self.node(1)) if text else (self.own_id, bytes(width), b"\xff" * width, self.node(1))
-            create = self.good_create(self.var_id(), producer=self._chance.one_of(others), seqno=self.seqno())
+            create = self.create(self.var_id(), producer=self._chance.one_of(others), seqno=self.seqno())
             if self.codec.report_plan is not None and self.rng.random() < 0.4:
                 report = self._values.report()
                 report = ExtendedSafetyData(report.s_data, self._chance.one_of(others), report.t_stamp, report.seqno)
@@ -172,7 +172,7 @@ class Sequences(Parts):
             found.append(Call("RTDB-Create", create))
         elif whose < 0.9:
             # A variable of another producer: the services that change it must be refused.
-            found.append(self.frame(self.good_create(var_id)))
+            found.append(self.frame(self.create(var_id)))
         for _ in range(2 + self._chance.below(4)):
             step: Step
             match self._chance.below(10):
@@ -185,7 +185,7 @@ class Sequences(Parts):
                 case 4:
                     step = Call(*self._chance.one_of(_ODD_CALLS))
                 case 5:
-                    step = self.frame(self.good_create(var_id, creation=self._chance.one_of((1, CREATION))))
+                    step = self.frame(self.create(var_id, creation=self._chance.one_of((1, CREATION))))
                 case 6 if self.codec.report_plan is not None:
                     # A node with safety data and variables sends beacons of two blocks.
                     step = Call("SRP-UpdateSafetyData", {"sData": self._safety_data()})
@@ -216,7 +216,7 @@ class Sequences(Parts):
         """Create all possible variables, up to 256, then send a record about each."""
         found: list[Step] = []
         ids = range(self._top_var + 1)
-        records = [self.good_create(each) for each in ids]
+        records = [self.create(each) for each in ids]
         for first in range(0, len(records), 20):
             found.append(self.frame(*records[first : first + 20]))
         found.append(Wait(2.0))

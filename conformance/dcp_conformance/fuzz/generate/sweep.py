@@ -17,11 +17,12 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import EncodeError
 from dcp_codec.plan.tree import Scalar
 from dcp_codec.testing.mutation import generic
-from dcp_codec.values import Beacon, Payload
+from dcp_codec.values import Beacon, Container, Payload
 from dcp_conformance.fuzz.reduce.anatomy import Anatomy, Announced
 from dcp_conformance.fuzz.steps import Frame, Generator, Step, Wait
 
 from .samples import OTHER_PROTOCOL, Samples
+from .sequence_batches import Joined
 
 #: Container types that no version of the specification defines.
 _UNKNOWN: Final = (0, 7, 255)
@@ -181,20 +182,17 @@ class Sweep:
         """Return sequences with nearly all variables, and with more neighbours than tables can hold."""
         samples, found = self._samples, list[list[Step]]()
         top = 1 << (8 * min(1, self.codec.profile.types.var_id.width))
-        kind = ICType.CREATE_VARIABLES
-        records = samples.container(kind, top - _LEFT).records
+        whole = samples.container(ICType.CREATE_VARIABLES, top - _LEFT)
         creations: list[Step] = []
-        for first in range(0, len(records), _SHARE):
-            container = samples.container(kind)
-            several = type(container)(container.ic_type, records[first : first + _SHARE])
+        for first in range(0, len(whole.records), _SHARE):
+            several = Container(whole.ic_type, whole.records[first : first + _SHARE])
             creations += [Frame(octets, octets, NAME) for octets in self._encoded([samples.vardis(several)])]
         found.append([*creations, Wait(2.0)])
         if self.codec.report_plan is not None:
             reports: list[Step] = []
             for number in range(1, _NEIGHBOURS + 1):
                 octets = samples.beacon(samples.report(number), station=number)
-                source = b"\x02\xdc\x90\0" + number.to_bytes(2, "big")
-                reports.append(Frame(octets, octets, NAME, source))
+                reports.append(Frame(octets, octets, NAME, samples.address(number)))
             found.append([*reports, Wait(2.0)])
         return found
 
@@ -203,13 +201,9 @@ class Sweep:
     def _encoded(self, blocks: list[Payload]) -> Iterator[bytes]:
         """Yield a beacon of these blocks, unless it exceeds the size of a frame or the range of a length field."""
         try:
-            octets = self._samples.beacon(*blocks)
+            octets = self._envelope(blocks)
         except EncodeError:
-            # Some blocks contain octets instead of values of the profile.
-            try:
-                octets = self._envelope(blocks)
-            except EncodeError:
-                return
+            return
         if len(octets) <= max(1500, self.codec.profile.limits.max_beacon_size):
             yield octets
 
@@ -263,31 +257,21 @@ class Sweep:
         return [value.to_bytes(layout.size, layout.order) for value in values if value not in (truth, top + 1)]
 
 
-class SweepFirst:
+class SweepFirst(Joined):
     """A generator that starts with the sweep, ``size`` sequences in each test.
 
     ``done``: number of its tests that were executed before the campaign was resumed.
     """
 
     def __init__(self, sequences: Generator, codec: Codec, *, done: int = 0, size: int = 1) -> None:
-        self._sequences = sequences
+        super().__init__(sequences, 1)
         swept = Sweep(codec).sequences()
         tests = [list(itertools.chain(*swept[start : start + size])) for start in range(0, len(swept), size)]
         self._left = tests[done:][::-1]
-        self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
         """Return the next test."""
         if self._left:
             self.kinds = (NAME,)
             return self._left.pop()
-        steps = self._sequences.draw()
-        self.kinds = self._sequences.kinds
-        return steps
-
-    def keep(self, steps: list[Step]) -> None:
-        """See :meth:`Sequences.keep`."""
-        self._sequences.keep(steps)
-
-
-__all__ = ["NAME", "Sweep", "SweepFirst"]
+        return super().draw()

@@ -188,6 +188,3 @@ def _refilled(fill: Field, change: int) -> Edit:
     return (
         Edit(stop, stop, bytes(change), fill) if change > 0 else Edit(max(fill.offset, stop + change), stop, b"", fill)
     )
-
-
-__all__ = ["Anatomy", "Announced", "Edit"]

@@ -15,10 +15,8 @@ from dcp_spec.reasons import REASONS, WARNINGS
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
-from dcp_codec.plan.tree import Many
 from dcp_codec.testing.mutation import generic
 from dcp_codec.texts import PROTOCOLS
-from dcp_codec.views.fields import Field
 
 from .anatomy import Anatomy
 
@@ -52,11 +50,6 @@ class Anomaly(msgspec.Struct, frozen=True):
     """Requirements that a receiver violates if it does not survive the anomaly."""
 
     @property
-    def is_damage(self) -> bool:
-        """Whether a frame with this anomaly is invalid in the profile."""
-        return self.reason in REASONS or self.reason == "empty-frame"
-
-    @property
     def meaning(self) -> str:
         """Description of the reason."""
         return REASONS.get(self.reason) or WARNINGS.get(self.reason) or _EXTREMES[self.reason]
@@ -74,7 +67,9 @@ def anomalies_of(anatomy: Anatomy) -> list[Anomaly]:
     found = [_anomaly(anatomy, problem) for problem in _once(anatomy.dissection.problems)]
     if anatomy.dissection.padding and not anatomy.dissection.errors:
         found.append(_extreme(anatomy, "trailing-octets", ""))
-    found += [_extreme(anatomy, _LEVELS[each.name], each.path) for each in anatomy.lists() if _is_long(each)]
+    for each in anatomy.lists():
+        if len(each.children) > _MANY.get(each.name, len(each.children)):
+            found.append(_extreme(anatomy, _LEVELS[each.name], each.path))
     return found
 
 
@@ -108,10 +103,6 @@ def _extreme(anatomy: Anatomy, reason: str, path: str) -> Anomaly:
     return Anomaly(reason, path, kind, kind, _violated(anatomy, reason, path))
 
 
-def _is_long(field: Field) -> bool:
-    return isinstance(field.layout, Many) and len(field.children) > _MANY.get(field.name, len(field.children))
-
-
 def _region(where: str) -> str:
     """Return the path of the record, container or block of a field; the header for a field outside of them."""
     inside, found, _ = where.rpartition(_LIST)
@@ -141,6 +132,3 @@ def _violated(anatomy: Anatomy, reason: str, path: str) -> tuple[str, ...]:
     # BP delivers an empty payload to VarDis, and either of them may crash on it.
     in_vardis = reason == "empty-payload" and _protocol(anatomy, path) == f" of {PROTOCOLS[int(BP_PROTID_VARDIS)]}"
     return ("BP-RX-16", "VD-ROB-01") if in_vardis else ("BP-RX-16",)
-
-
-__all__ = ["Anomaly", "Kinds", "anomalies", "anomalies_of", "kinds_of"]

@@ -50,11 +50,6 @@ class Cause(msgspec.Struct, frozen=True, omit_defaults=True):
     """The requirements that decide the effect."""
 
 
-def kinds_in(codec: Codec, octets: bytes) -> list[str]:
-    """Return the kinds of anomalies of a frame, each once."""
-    return list(dict.fromkeys(each.kind for each in anomalies(codec, octets)))
-
-
 def cause_of(codec: Codec, steps: Iterable[Step]) -> str:
     """Return the possible cause in these steps as text: the anomalies, or the messages if there are none."""
     return _named(list(dict.fromkeys(each.kind for each in _anomalies_in(codec, steps))), codec, steps)
@@ -144,6 +139,3 @@ def _content(beacon: Beacon) -> str:
     }
     kinds |= {type(payload.srp).__name__ for payload in beacon.payloads if payload.srp is not None}
     return f"a valid beacon with {', '.join(sorted(kinds)) or 'nothing that is known'}"
-
-
-__all__ = ["Cause", "cause_of", "death_of", "decided_by", "explained", "kinds_in"]

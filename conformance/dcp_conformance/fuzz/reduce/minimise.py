@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final, NamedTuple
 
 import msgspec
@@ -16,6 +17,7 @@ import msgspec
 from dcp_codec.codec import Codec
 from dcp_conformance.fuzz.steps import STOPPED, Effect, Frame, Step, Wait
 
+from .anomalies import anomalies
 from .shrinking import shrinker_of
 
 #: Number of attempts that a hang counts as, in addition: it takes the whole time limit of a test.
@@ -162,7 +164,7 @@ class Minimiser:
         if self._shrinker is None or self._first.kind not in STOPPED:
             return False
         frames = dict.fromkeys(step for step in reversed(steps) if isinstance(step, Frame))
-        damaged = (frame for frame in frames if self._shrinker.is_damaged(frame.octets))
+        damaged = (frame for frame in frames if anomalies(self._shrinker.codec, frame.octets))
         return any(self._shows([frame]) for frame in itertools.islice(damaged, _ALONE))
 
     def _last(self, steps: list[Step], least: int) -> bool:
@@ -204,8 +206,10 @@ class Minimiser:
             step = self._steps[at]
             if isinstance(step, Wait) and step.periods > 0.5:
                 self._replaced(at, Wait(0.5))
-            elif isinstance(step, Frame):
-                self._smaller_frame(at)
+            elif isinstance(step, Frame) and self._shrinker is None:
+                self._shorter(at)
+            elif isinstance(step, Frame) and self._shrinker is not None:
+                self._shrinker.shrink(step.octets, partial(self._with, at), step.valid)
 
     def _replaced(self, at: int, step: Step) -> bool:
         """Try to replace a step, and all steps that are equal to it, by another step."""
@@ -214,28 +218,19 @@ class Minimiser:
 
     def _with(self, at: int, octets: bytes) -> bool:
         """Try to replace the octets of a frame."""
-        frame = self._steps[at]
-        assert isinstance(frame, Frame)
+        frame = self._frame(at)
         return octets != frame.octets and self._replaced(at, msgspec.structs.replace(frame, octets=octets))
 
-    def _octets(self, at: int) -> bytes:
+    def _frame(self, at: int) -> Frame:
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        return frame.octets
-
-    def _smaller_frame(self, at: int) -> None:
-        frame = self._steps[at]
-        assert isinstance(frame, Frame)
-        if self._shrinker is None:
-            self._shorter(at)
-        else:
-            self._shrinker.shrink(frame.octets, lambda octets: self._with(at, octets), frame.valid)
+        return frame
 
     def _shorter(self, at: int) -> None:
         """Remove octets, from half of them down to single ones; in short messages also in the middle."""
-        size = max(1, len(self._octets(at)) // 2)
+        size = max(1, len(self._frame(at).octets) // 2)
         while size:
-            octets = self._octets(at)
+            octets = self._frame(at).octets
             if len(octets) > size and self._with(at, octets[:-size]):
                 continue
             for start in range(0, len(octets) - size, size) if len(octets) <= 64 * size else ():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_codec.codec import Codec
@@ -32,6 +33,7 @@ def not_minimised(steps: list[Step], effect: Effect, codec: Codec | None = None)
     return Finding(shown, effect, minimised=False, confirmed=False, cause=cause)
 
 
+@dataclass
 class Reduction:
     """Minimisation of one finding. Its best result is available also after an interruption.
 
@@ -40,26 +42,16 @@ class Reduction:
     four times the seconds. ``codec`` is None for inputs that are not beacons.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        codec: Codec | None,
-        *,
-        fresh: Run | None = None,
-        budget: int = 600,
-        seconds: float | None = None,
-        known: Known | None = None,
-    ) -> None:
-        self._run = run
-        self._codec = codec
-        self._fresh = fresh
-        self._budget = budget
-        self._seconds = seconds
-        self._known = known
-        self._minimiser: Minimiser | None = None
-        self._found: Minimised | None = None
-        self.confirmed = False
-        """Whether the result showed the effect again from the initial state."""
+    run: Run
+    codec: Codec | None
+    fresh: Run | None = None
+    budget: int = 600
+    seconds: float | None = None
+    known: Known | None = None
+    confirmed: bool = field(default=False, init=False)
+    """Whether the result showed the effect again from the initial state."""
+    _minimiser: Minimiser | None = field(default=None, init=False)
+    _found: Minimised | None = field(default=None, init=False)
 
     @property
     def found(self) -> Minimised | None:
@@ -70,13 +62,13 @@ class Reduction:
         """Return the finding with the best result so far; with the original ``steps`` if there is none."""
         found = self.found
         if found is None:
-            return not_minimised(steps, effect, self._codec)
+            return not_minimised(steps, effect, self.codec)
         cause = None
-        if self._codec is not None:
+        if self.codec is not None:
             judge = self._minimiser
             proven = judge is not None and judge.is_proven()
             first = judge.whole if judge is not None else []
-            cause = explained(self._codec, found.steps, found.effect, first, proven=proven)
+            cause = explained(self.codec, found.steps, found.effect, first, proven=proven)
         return Finding(found.steps, found.effect, minimised=True, confirmed=self.confirmed, cause=cause)
 
     def reduce(self, steps: list[Step], effect: Effect, history: Sequence[Step] = ()) -> None:
@@ -84,30 +76,27 @@ class Reduction:
 
         Forwards exceptions of the target.
         """
-        if self._by_itself(self._run, steps, effect, self._seconds) or self._fresh is None:
+        if self._by_itself(self.run, steps, effect, self.seconds) or self.fresh is None:
             return
         # Earlier frames may be part of the cause, so each execution needs a restart, which takes time.
-        seconds = None if self._seconds is None else 4 * self._seconds
-        if self.found is not None and self._by_itself(self._fresh, steps, effect, seconds):
+        seconds = None if self.seconds is None else 4 * self.seconds
+        if self.found is not None and self._by_itself(self.fresh, steps, effect, seconds):
             return
         if history:
             both = [*history, *steps]
             shown = effect._replace(step=len(history) + effect.step)
-            self._by_itself(self._fresh, both, shown, seconds, least=2 * len(steps))
+            self._by_itself(self.fresh, both, shown, seconds, least=2 * len(steps))
 
     def _by_itself(self, run: Run, steps: list[Step], effect: Effect, seconds: float | None, least: int = 1) -> bool:
         self._found = self.found
-        self._minimiser = Minimiser(run, effect, self._codec, budget=self._budget, seconds=seconds, known=self._known)
+        self._minimiser = Minimiser(run, effect, self.codec, budget=self.budget, seconds=seconds, known=self.known)
         found = self._minimiser.minimise(steps, least)
         self.confirmed = found is not None and self._shows_again(found)
         return self.confirmed
 
     def _shows_again(self, found: Minimised) -> bool:
         """Return whether the effect occurs again after a restart. Known findings are not repeated."""
-        if self._fresh is None or (self._known is not None and self._known(found.steps, found.effect)):
+        if self.fresh is None or (self.known is not None and self.known(found.steps, found.effect)):
             return True
-        again = self._fresh(found.steps)
+        again = self.fresh(found.steps)
         return again is not None and again.signature == found.effect.signature
-
-
-__all__ = ["Finding", "Reduction", "not_minimised"]

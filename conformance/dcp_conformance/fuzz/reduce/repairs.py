@@ -131,6 +131,3 @@ def _type_around(anatomy: Anatomy, field: Field) -> str:
             known = {int(BP_PROTID_SRP): "srp", int(BP_PROTID_VARDIS): _SMALLEST}
             return known.get(protocol.value, "other")
     return ""
-
-
-__all__ = ["Repairs"]

@@ -51,20 +51,16 @@ class Shrinker:
         """
         work = _Work(self, octets, attempt)
         if not work.isolate() and valid:
-            work.take(valid)
+            work.accept(valid)
         for _ in range(_ROUNDS):
             before = work.octets
             work.fewer_elements()
             work.repair()
-            work.shorten()
-            work.ordinary_values()
+            for changes in (self.strings, self.values):
+                work.at_once_or_apart(changes(Anatomy(self.codec, work.octets)))
             if work.octets == before:
                 break
         return work.octets
-
-    def is_damaged(self, octets: bytes) -> bool:
-        """Return whether a frame has an anomaly."""
-        return bool(anomalies(self.codec, octets))
 
     def sound_forms(self, octets: bytes) -> list[bytes]:
         """Return the frame with one anomaly repaired, for each anomaly that can be repaired."""
@@ -84,16 +80,16 @@ class Shrinker:
                 break
             for other in others:
                 repaired = self.repairs.repaired(candidate, other)
-                if repaired is not None and self._kinds(repaired)[anomaly.kind]:
+                if repaired is not None and self.kinds(repaired)[anomaly.kind]:
                     candidate = repaired
                     break
             else:
                 return None
-        kinds = self._kinds(candidate)
+        kinds = self.kinds(candidate)
         if set(kinds) != {anomaly.kind}:
             return None
         for plainer in self.plainer(candidate):
-            if self._kinds(plainer) == kinds:
+            if self.kinds(plainer) == kinds:
                 return plainer
         return candidate
 
@@ -158,7 +154,8 @@ class Shrinker:
         padding = 0 if anomaly.reason == "trailing-octets" else len(anatomy.dissection.padding)
         return bare[: len(bare) - padding]
 
-    def _kinds(self, octets: bytes) -> Kinds:
+    def kinds(self, octets: bytes) -> Kinds:
+        """Return the number of anomalies of each kind in a frame."""
         return kinds_of(anomalies(self.codec, octets))
 
 
@@ -170,23 +167,19 @@ class _Work:
         self._codec = shrinker.codec
         self._attempt = attempt
         self.octets = octets
-        self._kinds = kinds_of(anomalies(self._codec, octets))
+        self._kinds = shrinker.kinds(octets)
 
-    def _accept(self, candidate: bytes | None) -> bool:
+    def accept(self, candidate: bytes | None) -> bool:
         """Try a frame if it is simpler than the current one, and make it the current one if it shows the effect."""
         if candidate is None or candidate == self.octets:
             return False
-        kinds = kinds_of(anomalies(self._codec, candidate))
+        kinds = self._shrinker.kinds(candidate)
         if not kinds <= self._kinds or (kinds == self._kinds and len(candidate) > len(self.octets)):
             return False
         if not self._attempt(candidate):
             return False
         self.octets, self._kinds = candidate, kinds
         return True
-
-    def take(self, octets: bytes) -> None:
-        """Continue with another frame if it shows the effect, too."""
-        self._accept(octets)
 
     def isolate(self) -> bool:
         """Try each anomaly alone. Returns whether one of them is enough."""
@@ -196,7 +189,7 @@ class _Work:
                 continue
             tried.add(anomaly.kind)
             isolated = self._shrinker.isolated(self.octets, anomaly)
-            if isolated == self.octets or self._accept(isolated):
+            if isolated == self.octets or self.accept(isolated):
                 return True
         return False
 
@@ -212,7 +205,7 @@ class _Work:
                 place += 1
         anatomy = Anatomy(self._codec, self.octets)
         if anatomy.dissection.padding:
-            self._accept(self.octets[: -len(anatomy.dissection.padding)])
+            self.accept(self.octets[: -len(anatomy.dissection.padding)])
 
     def _fewer(self, path: str) -> None:
         size = 0
@@ -225,7 +218,7 @@ class _Work:
             size = min(size or count // 2, count - 1)
             for start in range(0, count, size):
                 chunk = field.children[start : start + size]
-                if len(chunk) < count and self._accept(anatomy.without(chunk)):
+                if len(chunk) < count and self.accept(anatomy.without(chunk)):
                     break
             else:
                 if size == 1:
@@ -241,25 +234,17 @@ class _Work:
             for anomaly in anomalies(self._codec, self.octets):
                 if anomaly.path not in tried:
                     tried.add(anomaly.path)
-                    if self._accept(self._shrinker.repairs.repaired(self.octets, anomaly)):
+                    if self.accept(self._shrinker.repairs.repaired(self.octets, anomaly)):
                         going = True
                         break
 
-    def shorten(self) -> None:
-        """Shorten strings."""
-        self._at_once_or_apart(self._shrinker.strings(Anatomy(self._codec, self.octets)))
-
-    def ordinary_values(self) -> None:
-        """Set fields to ordinary values."""
-        self._at_once_or_apart(self._shrinker.values(Anatomy(self._codec, self.octets)))
-
-    def _at_once_or_apart(self, changes: Sequence[Change]) -> None:
+    def at_once_or_apart(self, changes: Sequence[Change]) -> None:
         """Try all changes together, then halves of them, down to single ones."""
-        if not changes or self._accept(_changed(Anatomy(self._codec, self.octets), changes)) or len(changes) == 1:
+        if not changes or self.accept(_changed(Anatomy(self._codec, self.octets), changes)) or len(changes) == 1:
             return
         half = len(changes) // 2
-        self._at_once_or_apart(changes[:half])
-        self._at_once_or_apart(changes[half:])
+        self.at_once_or_apart(changes[:half])
+        self.at_once_or_apart(changes[half:])
 
 
 @functools.lru_cache(maxsize=8)
@@ -283,6 +268,3 @@ def _changed(anatomy: Anatomy, changes: Sequence[Change]) -> bytes:
         if field is not None:
             edits.append(Edit(field.offset, field.offset + field.length, new, field))
     return anatomy.edited(edits)
-
-
-__all__ = ["Attempt", "Shrinker", "shrinker_of"]

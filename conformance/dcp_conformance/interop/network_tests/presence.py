@@ -20,7 +20,6 @@ def discovery(scene: Scene) -> None:
     scene.expect_neighbours(3.0)
     scene.wait(2.0)
     scene.expect_neighbours(1.0)
-    scene.expect_talking()
 
 
 @network_test(
@@ -29,6 +28,7 @@ def discovery(scene: Scene) -> None:
     requirements="SRP-RX-03 SRP-PAR-01",
     shapes=(PAIR, LINE_3, BUS_4),
     entities=("srp",),
+    talking=False,
 )
 def soft_state(scene: Scene) -> None:
     scene.start()
@@ -47,17 +47,16 @@ def soft_state(scene: Scene) -> None:
     "A station that joins late learns every variable with its present value",
     requirements="VD-PS-01 VD-RC-03 VD-PC-07",
     shapes=SPREAD,
-    services={"A": "RTDB-Create RTDB-Update"},
     short=True,
 )
 def late_join(scene: Scene) -> None:
     scene.require_summaries()
     late = scene.places[-1]
-    scene.start([place for place in scene.places if place != late])
-    present = [place for place in scene.places if place != late]
+    present = scene.places[:-1]
+    scene.start(present)
     for variable in range(5):
         scene.create(0, 50 + variable, b"a")
-    reached = scene.reachable(0, present)
+    reached = sorted(scene.shape.hops(0, present))
     scene.expect_spread(0, *range(50, 55), places=reached)
     scene.update(0, 51, b"b")
     scene.update(0, 52, b"c")
@@ -65,9 +64,7 @@ def late_join(scene: Scene) -> None:
     scene.wait(3.0)
     scene.switch(late, on=True)
     scene.expect_spread(0, *range(50, 55), what="5 variables at a station that joined late")
-    scene.update(0, 50, b"z")
-    scene.expect_spread(0, 50, among=5)
-    scene.expect_talking()
+    scene.spread_update(0, 50, b"z", among=5)
 
 
 @network_test(
@@ -75,14 +72,11 @@ def late_join(scene: Scene) -> None:
     "After its producer has restarted without memory a variable is unchanged, and a new one reaches all stations",
     requirements="VD-PC-07 VD-CRE-12 VD-ROB-01",
     shapes=SPREAD,
-    services={"A": "RTDB-Create RTDB-Update"},
 )
 def restart_of_producer(scene: Scene) -> None:
     scene.start()
-    scene.create(0, 60, b"a")
-    scene.expect_spread(0, 60)
-    scene.update(0, 60, b"b")
-    scene.expect_spread(0, 60)
+    scene.spread_new(0, 60, b"a")
+    scene.spread_update(0, 60, b"b")
     scene.switch(0, on=False)
     scene.wait(1.0)
     others = [place for place in scene.places if place != 0]
@@ -90,11 +84,8 @@ def restart_of_producer(scene: Scene) -> None:
     scene.switch(0, on=True)
     scene.wait(1.0)
     scene.expect_spread(0, 60, places=others, what="variable 60 after the restart of its producer")
-    scene.create(0, 61, b"n")
-    scene.expect_spread(0, 61, among=2)
-    scene.update(0, 61, b"o")
-    scene.expect_spread(0, 61, among=2)
-    scene.expect_talking()
+    scene.spread_new(0, 61, b"n", among=2)
+    scene.spread_update(0, 61, b"o", among=2)
 
 
 @network_test(
@@ -102,7 +93,6 @@ def restart_of_producer(scene: Scene) -> None:
     "A relay that restarts without memory learns the variables again and relays the next update",
     requirements="VD-PS-01 VD-RC-03 VD-PU-07",
     shapes=(LINE_3, LINE_5, GRID_8),
-    services={"A": "RTDB-Create RTDB-Update"},
 )
 def restart_of_relay(scene: Scene) -> None:
     scene.require_summaries()
@@ -116,9 +106,7 @@ def restart_of_relay(scene: Scene) -> None:
     scene.wait(1.0)
     scene.switch(1, on=True)
     scene.expect_spread(0, 70, 71, 72, what="3 variables after the restart of a relay")
-    scene.update(0, 72, b"c")
-    scene.expect_spread(0, 72, among=3)
-    scene.expect_talking()
+    scene.spread_update(0, 72, b"c", among=3)
 
 
 @network_test(
@@ -127,16 +115,12 @@ def restart_of_relay(scene: Scene) -> None:
     requirements="BP-RX-07 SRP-RX-03 VD-PC-07",
     shapes=(PAIR, LINE_3, BUS_4),
     entities=("srp", "vardis"),
-    services={"A": "RTDB-Create RTDB-Update"},
 )
 def reports_and_variables(scene: Scene) -> None:
     scene.start()
     scene.report_states()
     scene.expect_neighbours(3.0)
-    scene.create(0, 65, b"a")
-    scene.expect_spread(0, 65)
+    scene.spread_new(0, 65, b"a")
     for value in (b"b", b"c", b"d"):
-        scene.update(0, 65, value)
-        scene.expect_spread(0, 65)
+        scene.spread_update(0, 65, value)
     scene.expect_neighbours(1.0)
-    scene.expect_talking()

@@ -7,32 +7,26 @@ from dcp_spec.constants import SpecVersion
 from dcp_conformance.interop.definition import GRID_8, LINE_3, LINE_5, PAIR, network_test
 from dcp_conformance.interop.scene import Scene
 
-UPDATING = {"A": "RTDB-Create RTDB-Update"}
-
 
 @network_test(
     "IT_VD_MANY",
     "255 variables of one station reach every station, and all are updated",
     requirements="VD-CMP-03 VD-CMP-13 VD-PS-01 VD-PC-09",
     shapes=(PAIR, LINE_3),
-    services=UPDATING,
     longest_s=80.0,
 )
 def many_variables(scene: Scene) -> None:
     scene.require(scene.limits.variables >= 255, "a station has no room for 255 variables")
     scene.require_summaries()
     scene.start()
-    for variable in range(255):
-        if variable == 250:
-            # Applications of permitted variants have this one.
-            continue
-        scene.create(0, variable, bytes([variable or 1]))
+    # Applications of permitted variants have 250.
     chosen = [variable for variable in range(255) if variable != 250]
+    for variable in chosen:
+        scene.create(0, variable, bytes([variable or 1]))
     scene.expect_spread(0, *chosen, what="254 variables")
     for variable in chosen:
         scene.update(0, variable, bytes([255 - variable]))
     scene.expect_spread(0, *chosen, what="254 variables after an update of each")
-    scene.expect_talking()
 
 
 @network_test(
@@ -40,7 +34,6 @@ def many_variables(scene: Scene) -> None:
     "Values of the greatest length reach every station, alone and several at a time",
     requirements="VD-TYP-02 VD-PAY-02 VD-CMP-13",
     shapes=(PAIR, LINE_3, LINE_5),
-    services=UPDATING,
 )
 def longest_values(scene: Scene) -> None:
     scene.start()
@@ -54,7 +47,6 @@ def longest_values(scene: Scene) -> None:
     for variable in range(8):
         scene.update(0, 110 + variable, scene.rng.randbytes(length))
     scene.expect_spread(0, *range(110, 118), what="8 long values after an update of each")
-    scene.expect_talking()
 
 
 @network_test(
@@ -62,21 +54,17 @@ def longest_values(scene: Scene) -> None:
     "Sequence numbers wrap around at a relay: every update after the wrap is newer",
     requirements="VD-TYP-03 VD-UPD-07 VD-PU-06 VD-PU-07 VD-PS-04",
     shapes=(LINE_3, GRID_8),
-    services=UPDATING,
 )
 def wrap(scene: Scene) -> None:
     scene.start()
-    scene.create(0, 120, b"0")
-    scene.expect_spread(0, 120)
+    scene.spread_new(0, 120, b"0")
     # Steps of less than half the number space, so that every station sees each step as newer.
     for step in range(5):
         for _ in range(50):
             scene.update(0, 120, scene.rng.randbytes(1))
         scene.expect_spread(0, 120, what=f"variable 120 after {50 * (step + 1)} updates")
     for _ in range(12):
-        scene.update(0, 120, scene.rng.randbytes(1))
-        scene.expect_spread(0, 120, what="variable 120 around the wrap")
-    scene.expect_talking()
+        scene.spread_update(0, 120, scene.rng.randbytes(1), what="variable 120 around the wrap")
 
 
 @network_test(
@@ -84,9 +72,9 @@ def wrap(scene: Scene) -> None:
     "Variables with a timeout disappear everywhere when their producer is gone, and stay while it updates them",
     requirements="VD-SCR-03 VD-SCR-05 VD-SCR-06",
     shapes=(PAIR, LINE_3, LINE_5),
-    services=UPDATING,
     since=SpecVersion.V2_0,
     longest_s=20.0,
+    talking=False,
 )
 def timeouts(scene: Scene) -> None:
     scene.start()
@@ -117,12 +105,10 @@ def timeouts(scene: Scene) -> None:
     "Two stations that create one variable during a partition harm no other variable and no station",
     requirements="VD-ROB-01 VD-PC-03",
     shapes=(PAIR, LINE_3),
-    services={"A": "RTDB-Create RTDB-Update", "B": "RTDB-Create"},
 )
 def two_producers(scene: Scene) -> None:
     scene.start()
-    scene.create(0, 130, b"a")
-    scene.expect_spread(0, 130)
+    scene.spread_new(0, 130, b"a")
     scene.partition([0], scene.places[1:])
     scene.create(0, 131, b"x")
     scene.wait(0.2)
@@ -131,10 +117,7 @@ def two_producers(scene: Scene) -> None:
     scene.wait(1.0)
     scene.partition()
     scene.wait(3.0)
-    scene.update(0, 130, b"b")
-    scene.expect_spread(0, 130, among=2, what="variable 130, which has one producer")
-    scene.create(1, 132, b"n")
-    scene.expect_spread(1, 132, among=3)
+    scene.spread_update(0, 130, b"b", among=2, what="variable 130, which has one producer")
+    scene.spread_new(1, 132, b"n", among=3)
     alive = [place for place in scene.places if scene.is_alive(place, 131)]
     scene.expect(alive == scene.places, "every station keeps the disputed variable", f"only places {alive} have it")
-    scene.expect_talking()

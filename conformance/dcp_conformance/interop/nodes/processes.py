@@ -75,10 +75,9 @@ class Station(Place):
         try:
             answer = self._upper.call(method, dict(params))
             self._upper.poll()
-        except NoAnswerError as error:
-            self._unanswered.add(method)
-            return Answer(code=-32603, message=str(error))
         except UpperTesterError as error:
+            if isinstance(error, NoAnswerError):
+                self._unanswered.add(method)
             return Answer(code=-32603, message=str(error))
         return answer
 

@@ -11,15 +11,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from dcp_codec.codec import get_codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.impairment import PERFECT, Impairment
 from dcp_codec.network.namespaces import NamespaceError, entered
 from dcp_conformance.errors import ConformanceError, LowerTesterError
 from dcp_conformance.interop.definition import Shape
-from dcp_conformance.interop.implementations import Implementation, codec_of, command_of, upper_tester_of
+from dcp_conformance.interop.implementations import Implementation, command_of, upper_tester_of
 from dcp_conformance.interop.judge import address_of, ether_frame
-from dcp_conformance.interop.world import Place, Received, Sent
+from dcp_conformance.interop.world import Place, Sent, World, node_text
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.relay import RelayError, RelayFabric
 from dcp_stack.sim.testbed import namespaces
@@ -35,8 +36,8 @@ _QUIET: Final = 3.0
 _HELD: Final = 50_000_000
 
 
-class RealWorld:
-    """See :class:`~dcp_conformance.interop.world.World`. Needs the right to make network namespaces."""
+class RealWorld(World):
+    """A world of processes on links of their own. Needs the right to make network namespaces."""
 
     patience = 3.0
     #: 1500 payloads in a minute: the kernel keeps a few hundred for a process that does not read them.
@@ -56,14 +57,10 @@ class RealWorld:
 
         Raises ``LowerTesterError`` if the network cannot be built.
         """
+        super().__init__(shape.pairs)
         count = len(stations)
-        self.tester_address = b"\x02\x00\x00\x00\x7f\x01"
-        self.places: list[Place] = []
         self._closing = contextlib.ExitStack()
-        self._pairs = shape.pairs
-        self._sent: list[Sent] = []
         self._heard: set[int] = set()
-        self._deaths: dict[int, str] = {}
         self._paused = 0
         self._pending: list[Station] = []
         self._on_wait = on_wait
@@ -74,7 +71,7 @@ class RealWorld:
         self._directory = Path(tempfile.mkdtemp(prefix="dcp-it-"))
         self._closing.callback(shutil.rmtree, self._directory, ignore_errors=True)
         for number, (name, each, profile) in enumerate(stations):
-            codec = codec_of(profile)
+            codec = get_codec(profile)
             self.places.append(Place(number, name, codec, node_id(codec.profile, number + 1), each.limits))
         try:
             self._build(stations, count, seed)
@@ -106,11 +103,11 @@ class RealWorld:
         self._stations: list[Station] = []
         for place, (_, each, profile) in zip(self.places, stations, strict=True):
             network = (
-                codec_of(profile).profile.bp.network_id if each.limits.network_id is None else each.limits.network_id
+                get_codec(profile).profile.bp.network_id if each.limits.network_id is None else each.limits.network_id
             )
             values = {
                 "interface": INTERFACE,
-                "node_id": _told(place.node_id),
+                "node_id": node_text(place.node_id),
                 "network_id": str(network),
                 "profile": profile,
                 "control": str(self._directory / f"{place.number}.sock"),
@@ -152,31 +149,29 @@ class RealWorld:
                 self._refuse_other_identifiers()
                 break
             waited = time.monotonic() - begin
-            if waited > max(each.ready_s for each in self._pending):
-                self._give_up(waiting)
+            longest = max(each.ready_s for each in self._pending)
+            if waited > longest:
+                # Nothing can be judged: these stations do not even listen.
+                self._pending = []
+                raise ConformanceError(f"not ready within {longest:g} s: {self._missing(waiting)}")
             if waited > _QUIET and not told and self._on_wait is not None:
                 told = True
                 self._on_wait(f"waiting for {self._missing(waiting)}")
             self._listen(0.02)
         self._paused += round((time.monotonic() - begin) * 1e9)
 
-    def _give_up(self, waiting: Mapping[Station, str]) -> None:
-        """Raise for stations that are absent: nothing can be judged. They do not even listen."""
-        self._pending = []
-        longest = max(each.ready_s for each, missing in waiting.items() if missing)
-        raise ConformanceError(f"not ready within {longest:g} s: {self._missing(waiting)}")
-
     def _refuse_other_identifiers(self) -> None:
         """Raise if the upper tester of a station reports another node identifier than the station was given."""
         for each in self._stations:
-            if each.on and each.node_id and not _same(each.node_id, self.places[each.place].node_id):
+            told, given = each.node_id, node_text(self.places[each.place].node_id)
+            if each.on and told and told.replace(":", "").lower() != given.replace(":", "").lower():
                 self._refuse(each.place, each.node_id)
 
     def _refuse(self, number: int, uses: str) -> None:
         place = self.places[number]
         raise ConformanceError(
             f"place {number} ({place.implementation}) uses the node identifier {uses} instead of "
-            f"{_told(place.node_id)}: its command must take {{node_id}}"
+            f"{node_text(place.node_id)}: its command must take {{node_id}}"
         )
 
     def _refuse_collision(self, number: int, octets: bytes) -> None:
@@ -187,7 +182,7 @@ class RealWorld:
             return
         sender = beacon.bp.sender_id if beacon.bp is not None else None
         if sender is not None and any(sender == each.node_id for each in self.places if each.number != number):
-            self._refuse(number, _told(sender))
+            self._refuse(number, node_text(sender))
 
     def _missing(self, waiting: Mapping[Station, str]) -> str:
         told = [f"place {s.place} ({self.places[s.place].implementation}): {why}" for s, why in waiting.items() if why]
@@ -222,10 +217,6 @@ class RealWorld:
                 self._deaths[station.place] = f"at {self.now / 1e9:.2f} s: {station.death}"
 
     # -- stations ------------------------------------------------------------------------------------------------------
-
-    def sent(self) -> Sequence[Sent]:
-        """All transmissions so far."""
-        return self._sent
 
     def power(self, place: int, *, on: bool) -> None:
         """Start a process, or kill it."""
@@ -285,10 +276,6 @@ class RealWorld:
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
-    def deaths(self) -> Mapping[int, str]:
-        """How processes ended."""
-        return self._deaths
-
     def settle(self) -> None:
         """End the processes, then the relay, so that its recordings are complete."""
         if self._settled:
@@ -306,10 +293,6 @@ class RealWorld:
         pairs = {f"{a}>{b}" for a, b in self._pairs}
         return {name: each for name, each in self._counters.get("links", {}).items() if name in pairs}
 
-    def received(self) -> Sequence[Received]:
-        """Nothing: the relay has recorded it (:meth:`recordings`)."""
-        return ()
-
     def recordings(self) -> Mapping[int, Path]:
         """The relay's recording of each port."""
         return {place.number: self._directory / f"port-{place.number}.mcap" for place in self.places}
@@ -321,12 +304,3 @@ class RealWorld:
     def close(self) -> None:
         """End everything and remove it."""
         self._closing.close()
-
-
-def _told(node_id: bytes) -> str:
-    """Return a node identifier as text; identifiers of variable length are text already."""
-    return node_id.decode() if b":" in node_id else node_id.hex(":")
-
-
-def _same(told: str, node_id: bytes) -> bool:
-    return told.replace(":", "").lower() == _told(node_id).replace(":", "").lower()

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from dcp_codec.network.namespaces import entered
+from dcp_codec.network.sockets import EVERY_ETHER_TYPE, OUTGOING, stamp_of
 from dcp_conformance.errors import LowerTesterError
 
-_ETH_P_ALL: Final = 0x0003
 _SO_TIMESTAMPNS: Final = 35
-_PACKET_OUTGOING: Final = 4
 _SOL_PACKET, _PACKET_STATISTICS = 263, 6
 
 
@@ -35,10 +34,10 @@ class Taps:
         try:
             with entered(namespace):
                 for name in interfaces:
-                    made = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
+                    made = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(EVERY_ETHER_TYPE))
                     self._sockets.append(made)
                     made.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-                    made.bind((name, _ETH_P_ALL))
+                    made.bind((name, EVERY_ETHER_TYPE))
                     made.setblocking(False)
         except OSError as error:
             self.close()
@@ -53,9 +52,9 @@ class Taps:
             with contextlib.suppress(BlockingIOError):
                 while True:
                     frame, extra, _, address = each.recvmsg(65_536, 256)
-                    if address[2] == _PACKET_OUTGOING:
+                    if address[2] == OUTGOING:
                         continue
-                    found.append(Tapped(_stamp(extra), place, frame))
+                    found.append(Tapped(stamp_of(extra), place, frame))
         return sorted(found)
 
     def lost(self) -> int:
@@ -67,11 +66,3 @@ class Taps:
         """Close the sockets."""
         for each in self._sockets:
             each.close()
-
-
-def _stamp(extra: Sequence[tuple[int, int, bytes]]) -> int:
-    for _, kind, octets in extra:
-        if kind == _SO_TIMESTAMPNS:
-            seconds, nanoseconds = struct.unpack("@ll", octets[: struct.calcsize("@ll")])
-            return int(seconds * 1_000_000_000 + nanoseconds)
-    return 0

@@ -6,7 +6,7 @@ Everything random comes from one seed, so that a world with the same seed does t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, Final
 
 import msgspec
@@ -14,11 +14,12 @@ import msgspec
 from dcp_codec.impairment import Impairment
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interop.definition import Shape
-from dcp_conformance.interop.world import Limits, Place, Received, Sent
+from dcp_conformance.interop.world import Limits, Place, Received, Sent, World
 from dcp_conformance.reference.surroundings import Setup, Tested
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.virtual.medium import Arrival, ImpairedMedium
-from dcp_stack.virtual.world import EPOCH, LATER, World, node_id
+from dcp_stack.virtual.world import EPOCH, LATER, node_id
+from dcp_stack.virtual.world import World as Clock
 
 #: How long a frame takes, in ns: a receiver never answers at the instant of the transmission.
 _FLIGHT: Final = 20_000
@@ -32,7 +33,7 @@ class _Station(Tested):
         self._network = world
         self._place = place
         self.rank = LATER + place
-        super().__init__(setup, seed=seed, world=world)
+        super().__init__(setup, seed=seed, world=world.clock)
 
     def wall(self) -> int:
         """Return the node's clock in ns since 1970, with the offset that the test has set."""
@@ -49,56 +50,46 @@ class _Station(Tested):
 
 
 class VirtualWorld(World):
-    """See :class:`~dcp_conformance.interop.world.World`."""
+    """A world without a machine: everything is in memory, and every transmission is known."""
 
     epoch = EPOCH
-    patience = 1.0
-    most_backlog = float("inf")
-    lateness = ""
 
     def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
         """``setups``: for each place the name of its implementation, how it is made, and its limits."""
+        super().__init__(shape.pairs)
         self._seed = seed
         count = len(setups)
-        self.tester_address = b"\x02\x00\x00\x00\x7f\x01"
         self.offsets = [0] * count
         self._setups: list[Setup] = []
-        self.places: list[Place] = []
         for number, (name, setup, limits) in enumerate(setups):
             codec = setup.config.codec
             # As for a single node, the identifiers of places are the addresses of their interfaces.
             own = node_id(codec.profile, number + 1)
-            self._setups.append(
-                Setup(
-                    msgspec.structs.replace(setup.config, node_id=own),
-                    setup.make,
-                    setup.pics,
-                    setup.upper,
-                    setup.can_restart,
-                    # Applications use one variable identifier: two of them would be two producers of one variable,
-                    # which the specification leaves to the user to avoid (VD-TYP-01).
-                    None if any(each.application is not None for each in self._setups) else setup.application,
-                    setup.clock,
-                )
-            )
+            # Applications use one variable identifier: two of them would be two producers of one variable, which the
+            # specification leaves to the user to avoid (VD-TYP-01).
+            alone = all(each.application is None for each in self._setups)
+            config = msgspec.structs.replace(setup.config, node_id=own)
+            self._setups.append(replace(setup, config=config, application=setup.application if alone else None))
             self.places.append(Place(number, name, codec, own, limits))
         everybody = [each for place in range(count) for each in ((place, count), (count, place))]
         self.medium = ImpairedMedium(count + 1, _PERFECT, seed=seed, pairs=[*shape.pairs, *everybody])
-        super().__init__(self.medium, self.arrive)
-        self._pairs = shape.pairs
-        self._sent: list[Sent] = []
+        self.clock = Clock(self.medium, self.arrive)
         self._received: list[Received] = []
         self._stations: list[_Station | None] = [None] * count
         self._uppers: list[Any] = [None] * count
         self._methods: list[frozenset[str] | None] = [None] * count
-        self._deaths: dict[int, str] = {}
         self._lives = [0] * count
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
+    @property
+    def now(self) -> int:
+        """Virtual ns since the start."""
+        return self.clock.now
+
     def run(self, duration: int) -> None:
         """Let virtual time pass."""
-        self.run_until(self.now + duration)
+        self.clock.run_until(self.now + duration)
 
     def arrive(self, arrival: Arrival) -> None:
         """Deliver a frame to the stations that are switched on."""
@@ -118,10 +109,6 @@ class VirtualWorld(World):
         self._deaths.setdefault(place, f"at {self.now / 1e9:.3f} s: {why}")
 
     # -- stations ------------------------------------------------------------------------------------------------------
-
-    def sent(self) -> Sequence[Sent]:
-        """All transmissions so far."""
-        return self._sent
 
     def power(self, place: int, *, on: bool) -> None:
         """Switch a station on or off."""
@@ -182,29 +169,11 @@ class VirtualWorld(World):
         """Broadcast from the tester's own station."""
         self.broadcast(len(self.places), octets)
 
-    def deaths(self) -> Mapping[int, str]:
-        """How nodes ended."""
-        return self._deaths
-
     def link_counters(self) -> dict[str, Any]:
         """The counters of each direction between places."""
         pairs = {f"{a}>{b}" for a, b in self._pairs}
         return {name: each for name, each in self.medium.directions().items() if name in pairs}
 
-    def settle(self) -> None:
-        """Nothing: every transmission is known."""
-
     def received(self) -> Sequence[Received]:
         """Return the frames that arrived at the places."""
         return self._received
-
-    def recordings(self) -> Mapping[int, Path]:
-        """None are made: everything is in memory."""
-        return {}
-
-    def logs(self) -> Mapping[int, str]:
-        """Nodes in this process write no log."""
-        return {}
-
-    def close(self) -> None:
-        """Has no effect: there are no resources to release."""

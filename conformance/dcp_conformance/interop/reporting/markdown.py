@@ -12,18 +12,16 @@ from dcp_conformance.model.verdict import Verdict
 
 def markdown(matrix: MatrixResult) -> str:
     """One table of pairs with their counts, and a list of everything that did not pass or apply."""
-    rows = list(dict.fromkeys(cell.a for cell in matrix.cells))
-    columns = list(dict.fromkeys(cell.b for cell in matrix.cells))
+    columns = matrix.implementations_of("b")
     counts: dict[tuple[str, str], Counter[Verdict]] = {}
     for cell in matrix.cells:
         counts.setdefault((cell.a, cell.b), Counter())[cell.verdict] += 1
     lines = ["# Interoperability of DCP implementations", "", f"{_total(matrix)}.", ""]
     if matrix.incomplete:
         lines += [f"**{' '.join(matrix.incomplete.split())}.**", ""]
-    pairs = ([f"**{a}**", *(_summary(counts.get((a, b))) for b in columns)] for a in rows)
+    pairs = ([f"**{a}**", *(_summary(counts.get((a, b))) for b in columns)] for a in matrix.implementations_of("a"))
     lines.append(table(("A \\ B", *columns), pairs))
-    declared = [(each.name, *item) for each in matrix.implementations for item in each.declared.items()]
-    if declared:
+    if declared := matrix.declared():
         lines += ["", "Profiles declare these deviations from the specification; no cell fails because of them.", ""]
         lines.append(table(("implementation", "requirement", "deviation"), declared))
     bad = [cell for cell in matrix.cells if cell.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]

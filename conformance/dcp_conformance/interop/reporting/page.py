@@ -23,26 +23,24 @@ _ORDER: Final = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE, Verdict.PASS
 
 def render(matrix: MatrixResult) -> str:
     """The page of a matrix."""
-    rows = list(dict.fromkeys(cell.a for cell in matrix.cells))
-    columns = list(dict.fromkeys(cell.b for cell in matrix.cells))
     cells = [_cell(cell, number, len(matrix.cells)) for number, cell in enumerate(matrix.cells)]
     by_pair: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for each in cells:
         by_pair.setdefault((each["of"].a, each["of"].b), []).append(each)
-    counts = Counter(str(cell.verdict) for cell in matrix.cells)
+    counts = matrix.counts()
     return pages.render(
         __package__,
         "interop.html",
         pages.text("dcp_conformance.reporting", "page.js"),
         matrix=matrix,
-        rows=rows,
-        columns=columns,
+        rows=matrix.implementations_of("a"),
+        columns=matrix.implementations_of("b"),
         by_pair=by_pair,
         summaries={pair: _summary(found) for pair, found in by_pair.items()},
         counted=[(counts[each], each.replace("-", " "), each) for each in map(str, _ORDER) if counts[each]],
         headline=_headline(counts),
         tests=list(dict.fromkeys(cell.test for cell in matrix.cells)),
-        declared=[(each.name, *item) for each in matrix.implementations for item in each.declared.items()],
+        declared=matrix.declared(),
         what={each.name: each for each in matrix.implementations},
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dcp_conformance.model.results import CaseResult, Check
+from dcp_conformance.reporting.frames import octets_of
 
 #: Parts of the names of services that only query the implementation and do not change its state.
 _QUERIES = ("Describe", "Read", "Get", "List", "Query", "Table", "Hello", "Status")
@@ -32,13 +33,14 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
     marked = {mark.frame for mark in check.frames}
     events = list(case.evidence)
     seen = [place for place, event in enumerate(events) if event.frame in marked and event.frame]
-    failed = next((place for place, event in enumerate(events) if _is_finding(event.text, check)), len(events))
+    finding = f"{check.verdict}: {check.expected}"
+    failed = next((place for place, event in enumerate(events) if event.text.startswith(finding)), len(events))
     last = max(seen, default=failed)
     # A frame cited by a check is recorded before the finding about it.
     end = max(last, min(failed, len(events))) if seen else failed
     found: list[Step] = []
     for event in events[: end + 1]:
-        octets = _octets(event.octets) if event.direction == "sent" else b""
+        octets = octets_of(event) if event.direction == "sent" else b""
         if octets or event.direction == "call":
             found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text))
     begin = found[0].time if found else 0.0
@@ -47,19 +49,5 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
 
 def needs_calls(steps: Sequence[Step]) -> bool:
     """Return whether a step calls a service that changes the state of the implementation."""
-    return any(step.text and not _is_query(step.text) for step in steps)
-
-
-def _is_query(text: str) -> bool:
-    return any(word in text.partition(" ")[0] for word in _QUERIES)
-
-
-def _is_finding(text: str, check: Check) -> bool:
-    return text.startswith(f"{check.verdict}: {check.expected}")
-
-
-def _octets(text: str) -> bytes:
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        return b""
+    names = (step.text.partition(" ")[0] for step in steps)
+    return any(not any(word in name for word in _QUERIES) for name in names if name)

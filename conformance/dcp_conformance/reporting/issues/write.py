@@ -67,12 +67,7 @@ def _environment() -> Environment:
         autoescape=False,  # noqa: S701
         keep_trailing_newline=True,
     )
-    found.filters["md"] = markdown
-    found.filters["literal"] = repr
-    found.filters["comment"] = comment
-    found.filters["code"] = code
-    found.filters["c_octets"] = c_octets
-    found.filters["py_octets"] = py_octets
+    found.filters.update(md=markdown, literal=repr, comment=comment, code=code, c_octets=c_octets, py_octets=py_octets)
     return found
 
 
@@ -109,6 +104,8 @@ def _context(
 ) -> dict[str, Any]:
     """Return the variables of the templates for one fault."""
     known = requirements()
+    # If the fault is uncertain, the requirements are those of the check that failed.
+    broken = fault.requirements if fault.likely or fault.check is None else fault.check.requirements
     failed = [check for check in case.checks if check.verdict is Verdict.FAIL]
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     link = run.sut.link.split(":")
@@ -121,7 +118,7 @@ def _context(
         "certainty": certainty(fault),
         "sentence": sentence(fault),
         "title": _title(fault, sut),
-        "entries": [known[each] for each in _violated(fault) if each in known],
+        "entries": [known[each] for each in broken if each in known],
         "checks": [
             {"expected": check.expected, "observed": check.observed, "frames": _shown(case, check, frames)}
             for check in failed[:_CHECKS]
@@ -138,11 +135,6 @@ def _context(
         "port": int(link[2]) if udp and len(link) > 2 and link[2].isdigit() else 0,
         "recording": os.fspath(Path(case.recording).name) if case.recording else "",
     }
-
-
-def _violated(fault: Probable) -> tuple[str, ...]:
-    """Return the requirements of the fault; if the fault is uncertain, those of the check that failed."""
-    return fault.requirements if fault.likely or fault.check is None else fault.check.requirements
 
 
 def _title(fault: Probable, sut: str) -> str:
