@@ -70,7 +70,8 @@ def layout_of(path: Path) -> Json:
             senders = _senders(reader) if topics.get(BEACONS) == "json" else []
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except McapError as error:
+    except (McapError, struct.error) as error:
+        # struct.error: the file is shorter than the magic of MCAP.
         raise CaptureError(f"{path}: is not an MCAP file that can be read from its end ({error})") from error
     if not any(topic.startswith("/dcp/") and topic != "/dcp/frames" for topic in topics):
         raise CaptureError(f"{path}: has no decoded messages: convert it to MCAP first, with its profile")

@@ -14,7 +14,7 @@ import jsonschema
 import pytest
 
 from dcp_codec import get_codec
-from dcp_codec.capture import convert
+from dcp_codec.capture import CaptureError, convert
 from dcp_codec.foxglove.channels import DecodedChannels
 from dcp_codec.foxglove.layouts import layout_of
 from dcp_codec.ros2 import write_bag
@@ -125,3 +125,13 @@ def test_settings_are_those_that_foxglove_documents(tmp_path, name, ros2):
     layout = layout_of(path)
     jsonschema.Draft202012Validator(LAYOUT).validate(layout)
     assert all(panel["foxglovePanelTitle"] for panel in layout["configById"].values())
+
+
+@pytest.mark.parametrize("octets", [b"", b"abc", b"# no recording", b"\x89MCAP0\r\n"])
+def test_files_that_are_not_mcap_get_a_message(tmp_path, octets):
+    path = tmp_path / "some.mcap"
+    path.write_bytes(octets)
+    with pytest.raises(
+        CaptureError, match=r"some\.mcap: (is not an MCAP file that can be read from its end|cannot be read)"
+    ):
+        layout_of(path)
