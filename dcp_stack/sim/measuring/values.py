@@ -34,7 +34,7 @@ Kind = Literal["creation", "update"]
 
 
 class Content(NamedTuple):
-    """What nodes know of a value, which does not identify it. ``creation_time``: in the profile's units."""
+    """The properties of a value that nodes know; they do not identify it. ``creation_time``: in the profile's units."""
 
     producer: int
     var_id: int
