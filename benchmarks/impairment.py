@@ -86,7 +86,7 @@ def virtual() -> Iterator[Row]:
 
 def socket_in(namespace: str) -> socket.socket:
     """A packet socket on the station's interface, with the kernel's stamps."""
-    from dcp_stack.relay import INTERFACE
+    from dcp_stack.sim.testbed.place import INTERFACE
 
     libc = ctypes.CDLL(None, use_errno=True)
     back, inside = (os.open(name, os.O_RDONLY) for name in ("/proc/self/ns/net", f"/run/netns/{namespace}"))

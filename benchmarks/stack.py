@@ -30,7 +30,7 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.network.namespaces import enter_command
 from dcp_codec.values import Beacon, BPHeader, Payload
 from dcp_stack.config import NodeConfig
-from dcp_stack.control import ControlServer
+from dcp_stack.control.server import ControlServer
 from dcp_stack.node import Node
 from dcp_stack.sim.scenario.defaults import default_scenario
 from dcp_stack.sim.scenario.definition import Converged, Create, Scenario, Topology, Tracks, Update

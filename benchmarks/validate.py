@@ -21,7 +21,7 @@ import msgspec
 from dcp_spec.markdown import table
 
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.sim.measuring import DelayRow
+from dcp_stack.sim.measuring.values import DelayRow
 from dcp_stack.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Tracks, Update
 from dcp_stack.sim.scenario.radio import RadioTable
 from dcp_stack.sim.scenario.report import Report

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dcp_codec.common.commandline import CommandLine
+from dcp_codec.common.commandline import UNUSABLE, CommandLine
+from dcp_stack.runtime.errors import NodeError
 
 #: Entry point of ``dcp-node``.
 main = CommandLine(
@@ -29,4 +30,5 @@ main = CommandLine(
     about="Run a DCP node (Drone Coordination Protocol), and control a running one.",
     exit_status="0 OK; 1 a service answered with a status other than OK; 2 wrong usage, or an invalid "
     "configuration, link or request; 3 no node could be reached.",
+    failures={NodeError: UNUSABLE},
 )

@@ -79,28 +79,22 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
       dcp-node run --link udp --node-id 02:00:00:00:00:01 --control /tmp/node1.sock
       dcp-node run --interface wlan0 --profile cpp-2.0 --record flight.mcap
     """
-    from dcp_stack.runtime.settings import SettingsError, load_settings, settings_text
+    from dcp_stack.runtime.settings import load_settings, settings_text
 
     flags["bp.beacon_period_ms"] = _whole(flags.pop("beacon_period"))
     flags["bp.network_id"] = _number(network_id)
-    try:
-        settings = load_settings(config, flags)
-        if print_config:
-            click.echo(settings_text(settings), nl=False)
-            return 0
-    except SettingsError as error:
-        raise ExpectedError(str(error)) from None
-    from dcp_stack.runtime.daemon import LogFileError, in_background, log_to
+    settings = load_settings(config, flags)
+    if print_config:
+        click.echo(settings_text(settings), nl=False)
+        return 0
+    from dcp_stack.runtime.daemon import in_background, log_to
     from dcp_stack.runtime.privileges import made_by_root
 
     if daemon and settings.control == "stdio":
         raise ExpectedError("--control stdio needs standard input, which --daemon closes")
-    try:
-        # Otherwise open_node opens it as the user.
-        if settings.log_file is not None and (settings.user is None or made_by_root(settings.log_file)):
-            log_to(settings.log_file)
-    except LogFileError as error:
-        raise ExpectedError(str(error)) from None
+    # Otherwise open_node opens it as the user.
+    if settings.log_file is not None and (settings.user is None or made_by_root(settings.log_file)):
+        log_to(settings.log_file)
     if daemon:
         return in_background(lambda on_ready: _run(settings, on_ready))
     return _run(settings, lambda _line: None)
@@ -109,7 +103,7 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
 def _run(settings: Settings, on_ready: Callable[[str], None]) -> int:
     """Run the node; ``on_ready`` is called with a line that describes it once it answers requests."""
     from dcp_stack.runtime import logs
-    from dcp_stack.runtime.opening import NodeError, open_node
+    from dcp_stack.runtime.opening import open_node
 
     logs.set_up(settings.log_level, settings.log_format)
     settings = _with_control(settings)
@@ -119,11 +113,8 @@ def _run(settings: Settings, on_ready: Callable[[str], None]) -> int:
         where = f"control socket {settings.control}" if settings.control else "without a control socket"
         on_ready(f"node {driver.node.config.node_id.hex(':')} runs as process {os.getpid()}, {where}")
 
-    try:
-        with open_node(settings) as driver:
-            driver.run(ready)
-    except NodeError as error:
-        raise ExpectedError(str(error)) from None
+    with open_node(settings) as driver:
+        driver.run(ready)
     log.info("ended")
     return 0
 

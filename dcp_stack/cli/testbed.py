@@ -72,7 +72,7 @@ def command(
     the files of --keep. Needs root, or a system that allows user namespaces.
     """
     from dcp_codec.network.namespaces import NamespaceError
-    from dcp_stack.relay import RelayAir, needs_relay
+    from dcp_stack.relay import RelayAir, RelayError, needs_relay
     from dcp_stack.sim.scenario.definition import ScenarioError
     from dcp_stack.sim.scenario.report import lines
     from dcp_stack.sim.testbed.fabric import Fabric
@@ -90,7 +90,7 @@ def command(
             if keep is not None:
                 note(f"control sockets are {directory}/node-*.sock")
             report = testbed.run(note)
-    except (ScenarioError, NamespaceError, StartError) as error:
+    except (ScenarioError, NamespaceError, RelayError, StartError) as error:
         raise ExpectedError(f"testbed: {error}") from None
     except _InterruptedError as stop:
         note(f"ended by {signal.Signals(stop.number).name}; the testbed is removed")

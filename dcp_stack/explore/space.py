@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
@@ -14,7 +14,6 @@ from dcp_stack.config import VardisConfig
 #: Kinds of events that distinguish causes, in the order of :attr:`Space.limits`. ``again``: a creation by a node that
 #: has created the variable before; ``other``: a creation by a second node.
 KINDS = ("create", "again", "other", "update", "delete", "restart", "clock", "silence", "partition", "loss")
-Kind = Literal["create", "again", "other", "update", "delete", "restart", "clock", "silence", "partition", "loss"]
 
 
 class SpaceError(ValueError):

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dcp_codec.network.namespaces import NamespaceError, run
-from dcp_stack.sim.scenario.definition import LinkQuality, Scenario, ScenarioError, SetLink
+from dcp_stack.sim.scenario.definition import LinkQuality, Scenario, SetLink
 from dcp_stack.sim.testbed import namespaces
 
-from .control import RelayError
 from .fabric import RelayFabric
 
 
@@ -16,16 +15,13 @@ class RelayAir:
     """The Ethernet of one scenario, with one relay between all nodes. See ``dcp_stack.sim.testbed.fabric.Air``."""
 
     def __init__(self, scenario: Scenario, prefix: str, addresses: Sequence[bytes]) -> None:
-        """``addresses``: of the nodes' interfaces. Raises ``NamespaceError``, and ``ScenarioError`` without a relay."""
+        """``addresses``: of the nodes' interfaces. Raises ``NamespaceError``, and ``RelayError`` without a relay."""
         self._pairs = {
             each for a, b in scenario.topology.pairs(scenario.nodes) for each in ((a, b), (b, a))
         }  # fmt: skip
-        try:
-            self._fabric = RelayFabric(
-                prefix, addresses, impairment=scenario.link.impairment(), seed=scenario.seed, pairs=sorted(self._pairs)
-            )
-        except RelayError as error:
-            raise ScenarioError(str(error)) from None
+        self._fabric = RelayFabric(
+            prefix, addresses, impairment=scenario.link.impairment(), seed=scenario.seed, pairs=sorted(self._pairs)
+        )
         self.namespaces = self._fabric.namespaces
         for link in scenario.links:
             for direction in link.directions:
@@ -34,21 +30,14 @@ class RelayAir:
     def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
         """Change the quality from one node to another, or (None) of all links that have none of their own.
 
-        Raises ``ScenarioError`` if the relay has ended, as ``partition`` does.
+        Raises ``RelayError`` if the relay has ended, as ``partition`` does.
         """
-        if direction is not None and direction not in self._pairs:
-            return
-        try:
+        if direction is None or direction in self._pairs:
             self._fabric.set_quality(direction, quality.impairment())
-        except RelayError as error:
-            raise ScenarioError(str(error)) from None
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
-        try:
-            self._fabric.partition(groups)
-        except RelayError as error:
-            raise ScenarioError(str(error)) from None
+        self._fabric.partition(groups)
 
     def close(self) -> None:
         """End the relay. The testbed deletes the namespaces."""

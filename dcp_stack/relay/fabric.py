@@ -11,7 +11,7 @@ from dcp_codec.network.namespaces import enter_command
 from dcp_stack.sim.testbed import namespaces
 from dcp_stack.sim.testbed.place import cable_to_hub, place_names
 
-from .control import RelayError, RelayProcess
+from .control import RelayProcess
 from .messages import Partition, SetQuality, Setup, SwitchPort
 
 
@@ -102,6 +102,3 @@ class RelayFabric:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-__all__ = ["RelayError", "RelayFabric"]

@@ -15,6 +15,7 @@ from typing import Final, Protocol
 from dcp_stack.control.places import is_answered
 from dcp_stack.control.server import HIGH_WATER, ControlServer
 
+from .errors import NodeError
 from .privileges import roots_alone
 from .reactor import READ, WRITE, Reactor
 
@@ -28,7 +29,7 @@ _LONGEST_PATH: Final = 107
 """Maximum length of the path of a Unix socket in octets, from <linux/un.h>."""
 
 
-class ControlSocketError(Exception):
+class ControlSocketError(NodeError):
     """The control socket cannot be created; the message names it and the cause."""
 
 

@@ -11,8 +11,10 @@ from typing import NoReturn
 
 from dcp_codec.common.commandline import UNUSABLE
 
+from .errors import NodeError
 
-class LogFileError(Exception):
+
+class LogFileError(NodeError):
     """The log file cannot be opened; the message names the file and the cause."""
 
 

@@ -23,7 +23,7 @@ from dcp_stack.links.base import Link, TimedLink
 from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.neighbour_file import NeighbourFileWriter
 from dcp_stack.node import Node
-from dcp_stack.positions import PositionSource
+from dcp_stack.positions.base import PositionSource
 
 from .channels import Listener, StandardStreams
 from .reactor import READ, Reactor

@@ -25,6 +25,7 @@ from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.vardis.delivery import Kind
 
 from .channels import Listener
+from .errors import NodeError
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -68,7 +69,7 @@ _RECORDING: Final = {
 }
 
 
-class MetricsError(Exception):
+class MetricsError(NodeError):
     """The endpoint cannot be opened; the message names the cause and a remedy."""
 
 

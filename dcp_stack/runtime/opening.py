@@ -21,13 +21,15 @@ from dcp_stack.links.recording import Recorder, recording_path
 from dcp_stack.links.rotation import Limits, RotatingRecorder, numbered_after, recordings_of
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileWriter
 from dcp_stack.node import Node
-from dcp_stack.positions import PositionSource, SourceError, open_source
+from dcp_stack.positions.base import PositionSource, SourceError
+from dcp_stack.positions.opening import open_source
 
-from .channels import ControlSocket, ControlSocketError, StandardStreams
-from .daemon import LogFileError, log_to
+from .channels import ControlSocket, StandardStreams
+from .daemon import log_to
 from .driver import Driver
+from .errors import NodeError
 from .memory import settle
-from .privileges import PrivilegeError, become, find_user, made_by_root
+from .privileges import become, find_user, made_by_root
 from .settings import Settings, SettingsError, codec_of, node_config
 from .sharing import share
 
@@ -44,10 +46,6 @@ class MakeNode(Protocol):
         ...
 
 
-class NodeError(Exception):
-    """The node cannot be started; the message names the cause."""
-
-
 @contextlib.contextmanager
 def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
     """Open a node that is ready to run. If it raises NodeError, everything opened before is closed again.
@@ -60,15 +58,7 @@ def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
             # From here on the driver closes everything, in its own order.
             stack.pop_all()
         yield driver
-    except (
-        SettingsError,
-        LinkError,
-        ControlSocketError,
-        SourceError,
-        NeighbourFileError,
-        PrivilegeError,
-        LogFileError,
-    ) as error:
+    except (LinkError, SourceError, NeighbourFileError) as error:
         raise NodeError(str(error)) from None
 
 
@@ -97,12 +87,9 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         stack.callback(positions.close)
     metrics = None
     if settings.metrics is not None:
-        from .metrics import MetricsError, MetricsServer
+        from .metrics import MetricsServer
 
-        try:
-            metrics = MetricsServer(settings.metrics)
-        except MetricsError as error:
-            raise SettingsError(str(error)) from None
+        metrics = MetricsServer(settings.metrics)
         stack.callback(metrics.close)
     control: ControlSocket | None = None
     neighbours: NeighbourFileWriter | None = None

@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 from dcp_codec.common.trust import untrusted_writer
 
+from .errors import NodeError
 
-class PrivilegeError(Exception):
+
+class PrivilegeError(NodeError):
     """The privileges cannot be given up; the message names the cause."""
 
 

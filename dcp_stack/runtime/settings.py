@@ -18,8 +18,10 @@ from dcp_spec.profile.loading import ProfileError
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 
+from .errors import NodeError
 
-class SettingsError(Exception):
+
+class SettingsError(NodeError):
     """Invalid settings; the message names the file, the key and the expected value."""
 
 

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from dcp_stack.control import ControlClient, ControlError, ServiceError
+from dcp_stack import ControlClient, ControlError, ServiceError
 from dcp_stack.sim.scenario.loading import load_scenario
 from dcp_stack.sim.virtual.player import Simulation
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from dcp_stack.control import ControlClient, ControlError
+from dcp_stack.control.client import ControlClient, ControlError
 
 from ..ports import own_port
 from ..waiting import PATIENCE, eventually

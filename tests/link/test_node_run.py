@@ -18,7 +18,7 @@ import pytest
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
-from dcp_stack.control import ControlClient, ControlError
+from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.links.udp import open_udp
 from dcp_stack.neighbour_file import NeighbourFileReader
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from dcp_codec import Codec
 from dcp_stack.config import NodeConfig
-from dcp_stack.control import ControlServer, ControlSession
+from dcp_stack.control.server import ControlServer, ControlSession
 from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
 

@@ -22,10 +22,12 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.positions import FieldError, SafetyFields, SourceError, open_source
+from dcp_stack.positions.base import SourceError
+from dcp_stack.positions.fields import FieldError, SafetyFields
 from dcp_stack.positions.geometry import distance
 from dcp_stack.positions.jsonlines import LONGEST_LINE, JsonLines
 from dcp_stack.positions.mavlink import MavlinkStream, local, port_opener
+from dcp_stack.positions.opening import open_source
 from dcp_stack.positions.replay import Replay
 from dcp_stack.positions.tracks import Circle, Line, RandomWalk, Track, Waypoints
 

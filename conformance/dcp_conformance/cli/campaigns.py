@@ -16,6 +16,8 @@ import click
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
+from .options import applied
+
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
@@ -35,7 +37,8 @@ _STOPPED = 130
 
 def campaign_options(function: F) -> F:
     """Add the common options of campaigns: limits, rate, recordings, dry run, coverage and output."""
-    for option in reversed(
+    return applied(
+        function,
         [
             click.option(
                 "--max-time",
@@ -74,10 +77,8 @@ def campaign_options(function: F) -> F:
                 "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write findings to this folder."
             ),
             click.option("--quiet", "-q", is_flag=True, help="Show only findings."),
-        ]
-    ):
-        function = option(function)
-    return function
+        ],
+    )
 
 
 def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, random.Random, Any, list[bytes]]:

@@ -7,7 +7,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -26,6 +25,7 @@ from rich.text import Text
 
 from dcp_codec.common.printable import plain
 from dcp_conformance.check.wording import moment
+from dcp_conformance.execution.remarks import listed
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.outcome import nothing_decided
 from dcp_conformance.model.results import CaseResult, Check, RunResult
@@ -161,9 +161,7 @@ class Minutes:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._ended.set()
 
 
@@ -185,10 +183,8 @@ class Display:
             self.minutes.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.minutes.__exit__(kind, error, trace)
+    def __exit__(self, *exception: object) -> None:
+        self.minutes.__exit__(*exception)
         self._progress.stop()
 
     def start(self, total: int) -> None:
@@ -357,8 +353,7 @@ def _print_observations(out: Console, run: RunResult) -> None:
 def _frames(check: Check) -> str:
     """Return the frames of a check and the time of the first one, in brackets; empty if it has neither."""
     frames = list(dict.fromkeys(str(mark.frame) for mark in check.frames if mark.frame))
-    more = f" and {len(frames) - _FRAMES} more" if len(frames) > _FRAMES else ""
-    named = f"frame{'' if len(frames) == 1 else 's'} {', '.join(frames[:_FRAMES])}{more}" if frames else ""
+    named = f"frame{'' if len(frames) == 1 else 's'} {listed(frames, _FRAMES)}" if frames else ""
     parts = [named, moment(check.seconds) if check.seconds is not None else ""]
     return f" ({', '.join(filter(None, parts))})" if any(parts) else ""
 
@@ -404,11 +399,9 @@ def _cells(row: dict[Verdict, int], columns: Iterable[Verdict]) -> list[str]:
 
 def _print_death(out: Console, death: Death) -> None:
     """Print one finding for the cases in which the SUT crashed in the same way."""
-    named = ", ".join(case.id for case in death.cases[:_CHECKS])
-    more = f" and {len(death.cases) - _CHECKS} more" if len(death.cases) > _CHECKS else ""
     style, first = STYLES[Verdict.FAIL], death.cases[0]
     out.print(f"\n[{style}]fail[/] [bold]{len(death.cases)} cases[/]: the implementation {data(death.how)}")
-    out.print(f"  cases     {data(named)}{more}")
+    out.print(f"  cases     {data(listed([case.id for case in death.cases], _CHECKS))}")
     decided = dict.fromkeys(each for case in death.cases for check in bad_checks(case) for each in check.requirements)
     out.print(f"  decides   {data(', '.join(decided))}")
     out.print(f"  again     {data(first.rerun)}")
@@ -425,11 +418,9 @@ def _errors_alike(run: RunResult) -> list[list[CaseResult]]:
 
 def _print_errors(out: Console, cases: Sequence[CaseResult]) -> None:
     """Print one finding for cases that ended with the same error."""
-    named = ", ".join(case.id for case in cases[:_CHECKS])
-    more = f" and {len(cases) - _CHECKS} more" if len(cases) > _CHECKS else ""
     style, first = STYLES[Verdict.ERROR], cases[0]
     out.print(f"\n[{style}]error[/] [bold]{len(cases)} cases[/]: {data(first.reason)}", soft_wrap=True)
-    out.print(f"  cases     {data(named)}{more}", soft_wrap=True)
+    out.print(f"  cases     {data(listed([case.id for case in cases], _CHECKS))}", soft_wrap=True)
     if first.rerun:
         out.print(f"  again     {data(first.rerun)}", soft_wrap=True)
 

@@ -40,7 +40,8 @@ class Factor(click.FloatRange):
         return number
 
 
-def _applied(function: F, decorators: list[Callable[[F], F]]) -> F:
+def applied(function: F, decorators: list[Callable[[F], F]]) -> F:
+    """Add options in the order in which they are shown."""
     for decorator in reversed(decorators):
         function = decorator(function)
     return function
@@ -62,7 +63,7 @@ def out_option(text: str) -> Callable[[F], F]:
 
 def target_options(function: F) -> F:
     """Add the options that select the SUT and the access to it."""
-    return _applied(
+    return applied(
         function,
         [
             click.option("--interface", "-i", metavar="IF", help="Ethernet interface of the tester."),
@@ -100,6 +101,7 @@ def target_options(function: F) -> F:
             ),
             click.option(
                 "--beacon-period",
+                "beacon_period_ms",
                 type=Factor(1_000_000),
                 metavar="MS",
                 help="Beacon period of the implementation.  [default: that of the PICS, or 100; reference node: 20]",
@@ -116,17 +118,17 @@ def target_options(function: F) -> F:
     )
 
 
-#: Sections of the help of commands that have :func:`target_options`.
+#: Sections of the help of commands that have :func:`target_options`; the names are those of ``TargetOptions``.
 TARGET_SECTIONS = {
     "Implementation": "interface link in_process profile ether_type ut pics",
     "Process of the implementation": "start stop restart pid start_timeout",
-    "Times and random numbers": "beacon_period timing_scale seed",
+    "Times and random numbers": "beacon_period_ms timing_scale seed",
 }
 
 
 def selection_options(function: F) -> F:
     """Add the options that select test cases."""
-    return _applied(
+    return applied(
         function,
         [
             click.argument("cases", nargs=-1),
@@ -167,23 +169,7 @@ def target_of(options: dict[str, Any]) -> TargetOptions:
     # Lazy import: --help does not need the modules that open targets.
     from dcp_conformance.execution.target import TargetOptions
 
-    return TargetOptions(
-        profile=options["profile"],
-        interface=options["interface"],
-        ether_type=options["ether_type"],
-        link=options["link"],
-        in_process=options["in_process"],
-        ut=options["ut"],
-        pics=options["pics"],
-        start=options["start"],
-        stop=options["stop"],
-        restart=options["restart"],
-        pid=options["pid"],
-        start_timeout=options["start_timeout"],
-        beacon_period_ms=options["beacon_period"],
-        timing_scale=options["timing_scale"],
-        seed=options["seed"],
-    )
+    return TargetOptions(**{name: options[name] for names in TARGET_SECTIONS.values() for name in names.split()})
 
 
 def selection_of(options: dict[str, Any]) -> Selection:

@@ -15,14 +15,14 @@ def executed_again(cases: Mapping[str, str]) -> str:
     if len(names) == 1:
         return f"{names[0]} was executed again, since the tester could not decide it: {cases[names[0]]}"
     first = f"in the first of them {cases[names[0]]}"
-    return f"{len(names)} cases were executed again, since the tester could not decide them ({first}): {_listed(names)}"
+    return f"{len(names)} cases were executed again, since the tester could not decide them ({first}): {listed(names)}"
 
 
 def left_changed(cases: Mapping[str, str]) -> str:
     """Return a note on cases whose changes could not be undone. ``cases`` has the reasons by case."""
     first = next(iter(cases))
     return (
-        f"not all changes that were made in {_listed(list(cases))} could be undone ({cases[first]}), and there is no "
+        f"not all changes that were made in {listed(list(cases))} could be undone ({cases[first]}), and there is no "
         "command to restart the implementation (--restart): later cases may be affected"
     )
 
@@ -33,9 +33,9 @@ def deaths_alike(how: str, cases: Sequence[str]) -> str:
     if len(cases) == 1:
         return f"the implementation {kind} in {cases[0]} and was restarted"
     many = f"the implementation {kind} in {len(cases)} cases in the same way ({cause})"
-    return f"{many}: {_listed(cases)}; restarted each time"
+    return f"{many}: {listed(cases)}; restarted each time"
 
 
-def _listed(cases: Sequence[str]) -> str:
-    """Return the first ``_NAMED`` cases, and the number of further ones."""
-    return ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
+def listed(names: Sequence[str], most: int = _NAMED) -> str:
+    """Return the first ``most`` names, and the number of further ones."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -32,7 +32,7 @@ from dcp_conformance.upper_tester.faults import Violation
 
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
-from .remarks import deaths_alike, executed_again, left_changed
+from .remarks import deaths_alike, executed_again, left_changed, listed
 from .survival.attribution import Attribution, Trial, attribute, blamed, came_back, kinds, with_failures_of
 from .survival.life import Life
 from .survival.readiness import Readiness
@@ -609,9 +609,8 @@ class Runner:
         if loss is None:
             return ""
         self.deaths_side_by_side += 1
-        named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
         many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
-        text = f"while {many} executed side by side ({named}), the implementation {loss.summary}"
+        text = f"while {many} executed side by side ({listed(during, _NAMED)}), the implementation {loss.summary}"
         self.remarks.append(f"{text}. These cases were executed again")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Final
 
@@ -48,8 +47,3 @@ def _frames(found: Sequence[tuple[Incident, int]]) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def kinds_of(incidents: Iterable[Incident]) -> Counter[str]:
-    """Return the number of incidents of each kind."""
-    return Counter(incident.what for incident in incidents)

@@ -56,7 +56,7 @@ class Shape:
     def hops(self, start: int, over: Collection[int] | None = None) -> dict[int, int]:
         """The number of hops from ``start`` to each place that is reached over the places of ``over``; None: all."""
         found, queue = {start: 0}, [start]
-        # Places are appended while the loop goes on: the nearest ones first.
+        # The loop appends places to its list: the nearest ones first.
         for place in queue:
             for other in self.neighbours(place):
                 if other not in found and (over is None or other in over):

@@ -15,7 +15,7 @@ from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.upper_tester import Answer, Notification
 from dcp_conformance.upper_tester.jsonrpc import answer_of, notification_of, request_line
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig
-from dcp_stack.control import ControlServer
+from dcp_stack.control.server import ControlServer
 from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.node import Node
 from dcp_stack.virtual.world import Station, World

@@ -241,7 +241,7 @@ def _run(where: str, words: list[str], given: bytes, patience: float) -> tuple[i
     output = bytearray()
     try:
         if process.stdin is not None:
-            # What fits into a pipe, which is more than any parameter has.
+            # The pipe takes this many octets at once: more than any parameter has.
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(given[:65_536])
                 process.stdin.close()

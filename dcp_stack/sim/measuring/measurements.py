@@ -7,7 +7,7 @@ from dcp_stack.virtual.medium import Arrival, SimulatedMedium
 
 from .consistency import Consistency
 from .reach import Reach, distances
-from .values import ValueLog
+from .values import Content, ValueLog
 
 
 class Measurements:
@@ -52,25 +52,15 @@ class Measurements:
         producer = self._numbers.get(entry.spec.prod_id)
         if producer is None:
             return
-        created = entry.spec.creation_time
+        content = Content(producer, var_id, entry.spec.creation_time, entry.seqno, entry.value)
         if delivery is None:
             if node != producer:
                 return
-            value = self.values.born(
-                now,
-                producer,
-                var_id,
-                created,
-                entry.seqno,
-                entry.value,
-                created=event == "created",
-                reach=self._reach(producer) if now >= self._warm_up else None,
-            )
+            reach = self._reach(producer) if now >= self._warm_up else None
+            value = self.values.born(now, content, created=event == "created", reach=reach)
             self.consistency.born(now, producer, var_id, value)
             return
-        taken = self.values.taken(
-            now, node, var_id, producer, created, entry.seqno, entry.value, sender=delivery.sender, sent=delivery.sent
-        )
+        taken = self.values.taken(now, node, content, sender=delivery.sender, sent=delivery.sent)
         self.consistency.holds(now, node, producer, var_id, taken)
 
     def deleted(self, now: int, node: int, var_id: int) -> None:

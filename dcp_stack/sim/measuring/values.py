@@ -33,38 +33,40 @@ _EXAMPLES = 3
 Kind = Literal["creation", "update"]
 
 
-class Series:
-    """A variable from one creation to its next creation."""
+class Content(NamedTuple):
+    """The properties of a value that nodes know; they do not identify it. ``creation_time``: in the profile's units."""
 
-    __slots__ = ("creation_time", "last", "ordinal", "producer", "seqno", "var_id")
-
-    def __init__(self, producer: int, var_id: int, creation_time: int | None, ordinal: int) -> None:
-        """``ordinal``: number of the creation by this producer, from 0. ``creation_time``: in the profile's units."""
-        self.producer = producer
-        self.var_id = var_id
-        self.creation_time = creation_time
-        self.ordinal = ordinal
-        self.seqno = -1
-        self.last: Value | None = None
+    producer: int
+    var_id: int
+    creation_time: int | None
+    seqno: int
+    octets: bytes
 
 
-class Value:
-    """One value of a variable. ``number`` is 0 for the value of the creation, counts up and never wraps."""
+class Series(msgspec.Struct, eq=False):
+    """A variable from one creation to its next creation. ``ordinal``: number of the creation, from 0."""
 
-    __slots__ = ("arrivals", "born", "number", "octets", "reach", "received", "seqno", "series")
+    producer: int
+    var_id: int
+    ordinal: int
+    last: Value | None = None
 
-    def __init__(self, series: Series, number: int, seqno: int, octets: bytes, born: int, reach: Reach | None) -> None:
-        """``reach``: the nodes at which the value is counted; None to track it without counting."""
-        self.series = series
-        self.number = number
-        self.seqno = seqno
-        self.octets = octets
-        self.born = born
-        self.reach = reach
-        self.received = 0
-        """The nodes that stored it, as bits."""
-        self.arrivals: dict[int, int] | None = None
-        """The times at which counted nodes first stored it, if the log keeps them."""
+
+class Value(msgspec.Struct, eq=False):
+    """One value of a variable. ``number`` is 0 for the value of the creation, counts up and never wraps.
+
+    ``reach``: the nodes at which the value is counted; None to track it without counting.
+    """
+
+    series: Series
+    number: int
+    content: Content
+    born: int
+    reach: Reach | None
+    received: int = 0
+    """The nodes that stored it, as bits."""
+    arrivals: dict[int, int] | None = None
+    """The times at which counted nodes first stored it, if the log keeps them."""
 
     @property
     def kind(self) -> Kind:
@@ -192,7 +194,7 @@ class ValueLog:
             assert arrivals is not None
             for node in _bits(reach.mask):
                 yield Reception(
-                    series.producer, series.var_id, series.ordinal, value.number, value.seqno, value.born, node,
+                    series.producer, series.var_id, series.ordinal, value.number, value.content.seqno, value.born, node,
                     reach.hops.get(node), arrivals.get(node),
                 )  # fmt: skip
 
@@ -207,32 +209,21 @@ class ValueLog:
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
-    def born(
-        self,
-        now: int,
-        producer: int,
-        var_id: int,
-        creation_time: int | None,
-        seqno: int,
-        octets: bytes,
-        *,
-        created: bool,
-        reach: Reach | None,
-    ) -> Value:
+    def born(self, now: int, content: Content, *, created: bool, reach: Reach | None) -> Value:
         """Note that a producer created or updated a variable; returns the new value.
 
         ``reach``: the nodes at which it is counted; None to track it without counting.
         """
+        producer, var_id = content.producer, content.var_id
         series = self._series.get((producer, var_id))
         if created or series is None:
             ordinal = 0 if series is None else series.ordinal + 1
-            series = self._series[producer, var_id] = Series(producer, var_id, creation_time, ordinal)
-        number = 0 if series.last is None else series.last.number + 1
-        value = Value(series, number, seqno, octets, now, reach)
-        if seqno < series.seqno and reach is not None:
+            series = self._series[producer, var_id] = Series(producer, var_id, ordinal)
+        last = series.last
+        value = series.last = Value(series, 0 if last is None else last.number + 1, content, now, reach)
+        if last is not None and content.seqno < last.content.seqno and reach is not None:
             self._wrapped += 1
             self._wraps[var_id] += 1
-        series.seqno, series.last = seqno, value
         if reach is not None:
             self._produced += 1
             for hops, count in reach.by_hops.items():
@@ -246,30 +237,18 @@ class ValueLog:
         self._hold(now, producer, value)
         return value
 
-    def taken(
-        self,
-        now: int,
-        node: int,
-        var_id: int,
-        producer: int,
-        creation_time: int | None,
-        seqno: int,
-        octets: bytes,
-        *,
-        sender: int,
-        sent: int,
-    ) -> Value | None:
+    def taken(self, now: int, node: int, content: Content, *, sender: int, sent: int) -> Value | None:
         """Note that a node stored a value from a frame that ``sender`` had sent at ``sent``.
 
         Returns the value, None if it cannot be identified.
         """
-        value = self._identify(var_id, producer, creation_time, seqno, octets, sender, sent)
+        value = self._identify(content, sender, sent)
         if value is None:
             self._unidentified += 1
-            self._held[node].pop(var_id, None)
+            self._held[node].pop(content.var_id, None)
             return None
-        before = self._held[node].get(var_id)
-        if before is not None and before.series.producer == producer:
+        before = self._held[node].get(content.var_id)
+        if before is not None and before.series.producer == content.producer:
             self._compare(now, node, before, value)
         self._hold(now, node, value)
         bit = 1 << node
@@ -358,31 +337,15 @@ class ValueLog:
         assert self._nodes is not None
         return self._nodes.setdefault((kind, hops, node), _Group())
 
-    def _identify(
-        self,
-        var_id: int,
-        producer: int,
-        creation_time: int | None,
-        seqno: int,
-        octets: bytes,
-        sender: int,
-        sent: int,
-    ) -> Value | None:
+    def _identify(self, content: Content, sender: int, sent: int) -> Value | None:
         """Return the latest value with this content that the sender held at ``sent``, None without one."""
-        history = self._histories[sender].get(var_id)
+        history = self._histories[sender].get(content.var_id)
         if history is None:
             return None
         # The latest matching value is the right one: a payload is composed shortly before it is sent.
         for index in range(bisect_right(history.times, sent) - 1, -1, -1):
-            value = history.values[index]
-            series = value.series
-            if (
-                value.seqno == seqno
-                and series.producer == producer
-                and series.creation_time == creation_time
-                and value.octets == octets
-            ):
-                return value
+            if history.values[index].content == content:
+                return history.values[index]
         return None
 
     def _compare(self, now: int, node: int, before: Value, value: Value) -> None:
@@ -395,7 +358,7 @@ class ValueLog:
         if len(self._examples) < _EXAMPLES:
             self._examples.append(
                 f"at {now / 1e9:.3f} s node {node} took value {value.number} of variable {value.series.var_id} "
-                f"(sequence number {value.seqno}) for value {before.number} ({before.seqno})"
+                f"(sequence number {value.content.seqno}) for value {before.number} ({before.content.seqno})"
             )
 
     def _hold(self, now: int, node: int, value: Value) -> None:

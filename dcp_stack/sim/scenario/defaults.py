@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from dcp_codec.codec import get_codec
-from dcp_stack.positions import SafetyFields
-from dcp_stack.sim.measuring import longest_distance
+from dcp_stack.positions.fields import SafetyFields
+from dcp_stack.sim.measuring.reach import longest_distance
 
 from .definition import (
     PERFECT,

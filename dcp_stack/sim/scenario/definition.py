@@ -6,7 +6,7 @@ Nodes are numbers from 0, times are seconds since the start, octets are text or 
 from __future__ import annotations
 
 import random
-from typing import ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import msgspec
 
@@ -54,33 +54,18 @@ class LinkQuality(Strict, kw_only=True, frozen=True):
 
     def quality(self) -> Quality:
         """Return the quality for the simulated medium. Raises ValueError for an invalid probability or time."""
-        return Quality(
-            loss=self.loss,
-            duplicate=self.duplicate,
-            reorder=self.reorder,
-            delay=round(self.delay_ms * NS_PER_MS),
-            jitter=round(self.jitter_ms * NS_PER_MS),
-            reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
-            burst=self.burst,
-            corrupt=self.corrupt,
-            corrupt_frames=self.corrupt_frames,
-            flips=self.flips,
-        )
+        return Quality(**self._in_ns())
 
     def impairment(self) -> Impairment:
         """Return the quality for a relay. Raises ValueError for an invalid probability or time."""
-        return Impairment(
-            loss=self.loss,
-            burst=self.burst,
-            duplicate=self.duplicate,
-            reorder=self.reorder,
-            delay=round(self.delay_ms * NS_PER_MS),
-            jitter=round(self.jitter_ms * NS_PER_MS),
-            reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
-            corrupt=self.corrupt,
-            corrupt_frames=self.corrupt_frames,
-            flips=self.flips,
-        )
+        return Impairment(**self._in_ns())
+
+    def _in_ns(self) -> dict[str, Any]:
+        """Return the values by name, times in ns."""
+        return {
+            name.removesuffix("_ms"): round(value * NS_PER_MS) if name.endswith("_ms") else value
+            for name, value in msgspec.structs.asdict(self).items()
+        }
 
     @property
     def only_loses(self) -> bool:
@@ -179,7 +164,19 @@ class Event(Strict, tag_field="do", kw_only=True, frozen=True):
     intervals: Literal["fixed", "exponential"] = "fixed"
 
 
-class Content(Event, kw_only=True, frozen=True):
+class Disturbance(Event, kw_only=True, frozen=True):
+    """An event that changes variables or the connections between databases; convergence is measured from it."""
+
+    disturbs = True
+
+
+class Change(Disturbance, kw_only=True, frozen=True):
+    """A disturbance at one node."""
+
+    node: int
+
+
+class Content(Disturbance, kw_only=True, frozen=True):
     """An event with a value: either ``text``, or ``value`` in hexadecimal digits.
 
     ``{n}`` in a text is replaced by the number of the repetition, from 0.
@@ -195,8 +192,6 @@ class Content(Event, kw_only=True, frozen=True):
 
 class Create(Content, tag="create", kw_only=True, frozen=True):
     """``RTDB-Create`` at a node. For a variable that the node already produces it is a re-creation (2.0)."""
-
-    disturbs = True
 
     node: int
     variable: int
@@ -215,63 +210,40 @@ class Create(Content, tag="create", kw_only=True, frozen=True):
 class Update(Content, tag="update", kw_only=True, frozen=True):
     """``RTDB-Update`` at the node that created the variable."""
 
-    disturbs = True
-
     node: int
     variable: int
     own_fields: dict[str, int | float | str] = {}
     """Fields that the profile adds to VarUpdate, as for :class:`Create`."""
 
 
-class Delete(Event, tag="delete", kw_only=True, frozen=True):
+class Delete(Change, tag="delete", kw_only=True, frozen=True):
     """``RTDB-Delete`` at the node that created the variable."""
 
-    disturbs = True
-
-    node: int
     variable: int
 
 
-class Activate(Event, tag="activate", kw_only=True, frozen=True):
+class Activate(Change, tag="activate", kw_only=True, frozen=True):
     """``VD-MGMT-Activate`` or ``BP-MGMT-Activate``."""
 
-    disturbs = True
-
-    node: int
     layer: Literal["vardis", "bp"] = "vardis"
 
 
-class Deactivate(Event, tag="deactivate", kw_only=True, frozen=True):
+class Deactivate(Change, tag="deactivate", kw_only=True, frozen=True):
     """``VD-MGMT-Deactivate`` or ``BP-MGMT-Deactivate``."""
 
-    disturbs = True
-
-    node: int
     layer: Literal["vardis", "bp"] = "vardis"
 
 
-class Down(Event, tag="down", kw_only=True, frozen=True):
+class Down(Change, tag="down", kw_only=True, frozen=True):
     """The node loses power: it stops sending without any further message, and its memory is lost."""
 
-    disturbs = True
 
-    node: int
-
-
-class Up(Event, tag="up", kw_only=True, frozen=True):
+class Up(Change, tag="up", kw_only=True, frozen=True):
     """The node is switched on, with empty memory."""
 
-    disturbs = True
 
-    node: int
-
-
-class Restart(Event, tag="restart", kw_only=True, frozen=True):
+class Restart(Change, tag="restart", kw_only=True, frozen=True):
     """The node is switched off and on again at once."""
-
-    disturbs = True
-
-    node: int
 
 
 class Clock(Event, tag="clock", kw_only=True, frozen=True):
@@ -281,18 +253,14 @@ class Clock(Event, tag="clock", kw_only=True, frozen=True):
     step_s: float
 
 
-class Partition(Event, tag="partition", kw_only=True, frozen=True):
+class Partition(Disturbance, tag="partition", kw_only=True, frozen=True):
     """Frames no longer leave the group of their sender. Nodes that are in no group form another group."""
-
-    disturbs = True
 
     groups: tuple[tuple[int, ...], ...]
 
 
-class Heal(Event, tag="heal", kw_only=True, frozen=True):
+class Heal(Disturbance, tag="heal", kw_only=True, frozen=True):
     """The partition ends."""
-
-    disturbs = True
 
 
 class SetLink(Event, tag="link", kw_only=True, frozen=True):

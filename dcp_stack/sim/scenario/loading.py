@@ -57,7 +57,7 @@ NO_SETTINGS: Final[Mapping[str, object]] = MappingProxyType({})
 
 def load_scenario(path: str | Path, settings: Mapping[str, object] = NO_SETTINGS) -> Scenario:
     """Return the scenario in a TOML file with ``settings`` (see :func:`change`). Raises :class:`ScenarioError`."""
-    raw = _read(Path(path))
+    raw = read_toml(Path(path))
     # Lists of values for dcp-node sweep; a single run has the values of the scenario itself.
     raw.pop("sweep", None)
     return scenario_from(change(raw, settings, str(path)), str(path), Path(path).parent)
@@ -131,7 +131,7 @@ def parse_topology(text: str, folder: Path | None = None) -> Topology:
     if not path.is_file():
         known = "full, bus, line, grid, grid:COLUMNS"
         raise ScenarioError(f"unknown topology {text!r}; expected one of {known}, or a file")
-    return _convert(_read(path), Topology, str(path))
+    return _convert(read_toml(path), Topology, str(path))
 
 
 def scenario_codec(scenario: Scenario, where: str = "scenario") -> Codec:
@@ -150,8 +150,8 @@ def check(scenario: Scenario, where: str = "scenario") -> Scenario:
     return scenario
 
 
-def check_nodes(scenario: Scenario, codec: Codec) -> None:
-    """Create a node for a trial. Raises :class:`ScenarioError` if it refuses the parameters or readings."""
+def trial_node(scenario: Scenario, codec: Codec) -> Node:
+    """Return a node that never runs. Raises :class:`ScenarioError` if it refuses the parameters or readings."""
     try:
         config = NodeConfig(
             node_id=node_id(codec.profile, 0),
@@ -161,12 +161,12 @@ def check_nodes(scenario: Scenario, codec: Codec) -> None:
             vardis=scenario.vardis_config,
             readings=scenario.readings,
         )
-        Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
+        return Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
     except (UnknownReadingError, ValueError) as error:
         raise ScenarioError(f"the nodes refuse this configuration: {error}") from None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file. Raises :class:`ScenarioError`."""
     try:
         return tomllib.loads(path.read_bytes().decode())

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import random
 from typing import Any
 
 import msgspec
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
-from dcp_stack.config import NodeConfig
-from dcp_stack.node import Node
-from dcp_stack.virtual.world import node_id
 
 from .definition import Scenario
+from .loading import trial_node
 
 
 class Provenance(msgspec.Struct, frozen=True):
@@ -58,14 +55,7 @@ class Provenance(msgspec.Struct, frozen=True):
 
 def effective_parameters(scenario: Scenario, codec: Codec) -> dict[str, dict[str, Any]]:
     """Return the parameters of a node of this scenario by protocol, including defaults from the profile."""
-    config = NodeConfig(
-        node_id=node_id(codec.profile, 0),
-        codec=codec,
-        bp=scenario.bp,
-        srp=scenario.srp_config,
-        vardis=scenario.vardis_config,
-    )
-    node = Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
+    node = trial_node(scenario, codec)
     entities = (("bp", node.bp), ("srp", node.srp), ("vardis", node.vardis))
     # The identifier is the one parameter that differs from node to node.
     return {

@@ -7,7 +7,9 @@ from typing import Any
 
 import msgspec
 
-from dcp_stack.sim.measuring import AgeRow, DelayRow, ValueTotals, VariableConsistency
+from dcp_stack.sim.measuring.ages import AgeRow
+from dcp_stack.sim.measuring.consistency import VariableConsistency
+from dcp_stack.sim.measuring.values import DelayRow, ValueTotals
 
 from .agreement import Convergence
 from .definition import NS_PER_S

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import msgspec
 from dcp_spec.version import __version__
 
 from dcp_stack.sim.scenario.definition import Scenario, ScenarioError
-from dcp_stack.sim.scenario.loading import change, check_nodes, scenario_codec, scenario_from
+from dcp_stack.sim.scenario.loading import change, read_toml, scenario_codec, scenario_from
 from dcp_stack.sim.scenario.provenance import Provenance
 
 #: Maximum number of runs, so that a mistyped list does not plan for ever.
@@ -71,7 +70,6 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
             raw = {key: value for key, value in self.raw.items() if key != "sweep"}
             scenario = scenario_from(change(raw, cell, place), place, Path(self.folder))
             codec = scenario_codec(scenario, place)
-            check_nodes(scenario, codec)
             made = Provenance.of(scenario, codec)
             for seed in range(scenario.seed, scenario.seed + self.seeds):
                 key = f"{made.scenario_sha256}/{__version__}/{seed}"
@@ -81,13 +79,7 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
 
 def load_study(path: Path, seeds: int | None = None) -> Study:
     """Return the study in a TOML file; ``seeds`` replaces that of the file. Raises :class:`ScenarioError`."""
-    try:
-        raw = tomllib.loads(path.read_bytes().decode())
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise ScenarioError(f"{path}: not a valid TOML file: {error}") from None
-    return study_from(raw, path.parent, str(path), seeds)
+    return study_from(read_toml(path), path.parent, str(path), seeds)
 
 
 def study_from(raw: dict[str, Any], folder: Path, where: str, seeds: int | None = None) -> Study:

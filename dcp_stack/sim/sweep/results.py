@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import msgspec
 
-from dcp_stack.sim.measuring import DelayRow
+from dcp_stack.sim.measuring.values import DelayRow
 from dcp_stack.sim.virtual.player import Simulation
 
 from .plan import Run, Study

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+from msgspec.structs import asdict
 
 from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.runtime.settings import Settings, SRPSettings, VardisSettings, settings_text
@@ -182,16 +183,11 @@ def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:
         position=sources[-1] if sources else None,
         seed=scenario.seed * 1000 + index,
         bp=scenario.bp,
-        srp=SRPSettings(enabled=False) if srp is None else SRPSettings(enabled=True, **_fields(srp)),
+        srp=SRPSettings(enabled=False) if srp is None else SRPSettings(enabled=True, **asdict(srp)),
         vardis=VardisSettings(enabled=False)
         if vardis is None
-        else VardisSettings(enabled=True, recommended=False, **_fields(vardis)),
+        else VardisSettings(enabled=True, recommended=False, **asdict(vardis)),
     )
-
-
-def _fields(config: msgspec.Struct) -> dict[str, Any]:
-    """Return the fields of a configuration by name."""
-    return {name: getattr(config, name) for name in config.__struct_fields__}
 
 
 def seconds_between(first: Look, last: Look) -> float:

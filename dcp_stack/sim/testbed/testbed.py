@@ -5,36 +5,17 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from dcp_stack.control.client import ControlError, ServiceError
-from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock
-from dcp_stack.sim.scenario.definition import (
-    NS_PER_S,
-    Activate,
-    Clock,
-    Create,
-    Deactivate,
-    Delete,
-    Down,
-    Event,
-    Heal,
-    Partition,
-    Restart,
-    Scenario,
-    ScenarioError,
-    SetLink,
-    Submission,
-    Up,
-    Update,
-)
-from dcp_stack.sim.scenario.expectations import VariableState, checks, describe, judge_all, judge_now
-from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
-from dcp_stack.sim.scenario.provenance import Provenance
-from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
-from dcp_stack.sim.scenario.requests import request, trouble
+from dcp_stack.sim.scenario.definition import NS_PER_S, Clock, LinkQuality, Scenario, ScenarioError
+from dcp_stack.sim.scenario.expectations import VariableState
+from dcp_stack.sim.scenario.ground import Ground
+from dcp_stack.sim.scenario.loading import check
+from dcp_stack.sim.scenario.report import NodeTraffic, Report
+from dcp_stack.sim.scenario.requests import trouble
 from dcp_stack.virtual.world import node_id
 
 from .cleanup import CleanupProcess
@@ -56,10 +37,12 @@ class StartError(Exception):
     """A node does not start; the message has its number and the last line of its log."""
 
 
-class Testbed:
+class Testbed(Ground):
     """Namespaces, links and processes for one scenario; as a context manager it removes all of them at the end."""
 
     __test__ = False
+    name = "testbed"
+    survival = "no node ends unexpectedly"
 
     def __init__(
         self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True, make_air: MakeAir = Fabric
@@ -71,7 +54,7 @@ class Testbed:
         ``record`` False omits the recordings. Raises ScenarioError for an invalid scenario, NamespaceError if the
         system refuses namespaces or interfaces.
         """
-        self.scenario = check(scenario)
+        check(scenario)
         if scenario.topology.kind == "positions" and not scenario.topology.positions:
             raise ScenarioError(
                 "topology.positions: a testbed needs the position of each node; tracks change links in simulations only"
@@ -80,15 +63,8 @@ class Testbed:
             raise ScenarioError("events: a testbed cannot set the clocks of its nodes; clock is for simulations only")
         if scenario.radio is not None:
             raise ScenarioError("radio: a testbed has no radio; use [link] for losses, or dcp-node simulate")
-        codec = scenario_codec(scenario)
-        check_nodes(scenario, codec)
-        self.profile = codec.profile
-        self._provenance = Provenance.of(scenario, codec)
-        self.agreement = Agreement(scenario.nodes)
-        self.clock = ConvergenceClock()
-        self.findings: list[Finding] = []
+        super().__init__(scenario)
         self.nodes: list[NodeProcess] = []
-        self._problems: list[str] = []
         self._begin = 0.0
         self._tell: Callable[[str], None] = lambda _text: None
         self._told, self._told_every = 0, max(self.scenario.duration // 10, TOLD_EVERY)
@@ -98,12 +74,12 @@ class Testbed:
         self._janitor = CleanupProcess(prefix, None if keep else str(directory))
         self._closing = contextlib.ExitStack()
         try:
-            identifiers = [node_id(self.profile, index) for index in range(scenario.nodes)]
+            identifiers = [node_id(self.codec.profile, index) for index in range(scenario.nodes)]
             # The address of an interface has six octets, independently of the node identifier of the profile.
             addresses = [b"\x02" + index.to_bytes(5, "big") for index in range(scenario.nodes)]
             self._fabric: Air = make_air(scenario, prefix, addresses)
             self._closing.callback(self._fabric.close)
-            text = self.profile.types.node_id.representation == "text"
+            text = self.codec.profile.types.node_id.representation == "text"
             width = len(str(scenario.nodes - 1))
             for index, identifier in enumerate(identifiers):
                 settings = settings_for(scenario, index, identifier.decode() if text else identifier.hex(":"))
@@ -186,21 +162,19 @@ class Testbed:
                 self._query(node)
         self.clock.look(self.now, self.agreement)
         self.close()
-        return self._report(time.perf_counter() - started)
-
-    def _timeline(self) -> list[tuple[int, Callable[[], None]]]:
-        """Return the events and checks of the scenario as (time in ns, function), sorted by time."""
-        found: list[tuple[int, Callable[[], None]]] = []
-        for at, n, event in self.scenario.timeline():
-            found.append((at, lambda event=event, n=n: self._happen(event, n)))  # type: ignore[misc]
-        for at, expected in checks(self.scenario):
-            found.append((at, lambda expected=expected: self.findings.append(judge_now(expected, self))))  # type: ignore[misc]
-        return sorted(found, key=lambda each: each[0])
+        return self._report(
+            list(self._traffic()),
+            [node.failure for node in self.nodes if node.failure],
+            duration_s=self.scenario.duration_s,
+            elapsed_s=time.perf_counter() - started,
+            late_s=round(self._late, 3),
+            slowest_start_s=round(self._slowest_start, 3),
+        )
 
     def _wait_until(self, at: int) -> None:
         """Query the nodes until a time of the scenario (ns), and note how late this ends."""
         while True:
-            self._look_around()
+            self._look()
             if self.now >= self._told + self._told_every:
                 self._told = self.now
                 self._tell(f"{self.now // NS_PER_S} s of {self.scenario.duration / NS_PER_S:g} s")
@@ -210,7 +184,7 @@ class Testbed:
                 return
             time.sleep(min(left, LOOK_INTERVAL))
 
-    def _look_around(self) -> None:
+    def _look(self) -> None:
         """Query all nodes while convergence is measured, and check whether they agree."""
         pending = False
         for node in self.nodes:
@@ -243,42 +217,20 @@ class Testbed:
 
     # -- events --------------------------------------------------------------------------------------------------------
 
-    def _happen(self, event: Event, n: int) -> None:
-        """Perform the ``n``-th repetition of an event, and note if it fails."""
-        what = describe(event, n)
-        if event.disturbs:
-            self.clock.event(self.now, what)
-        try:
-            status = self._perform(event, n)
-        except (LookupError, ServiceError, ControlError) as error:
-            status = str(error)
-        if status:
-            self._problems.append(f"at {event.at_s:g} s {what}: {status}")
-        self._look_around()
+    def _request(self, node: int, method: str, params: dict[str, Any]) -> dict[str, Any]:
+        return self.nodes[node].call(method, **params)
 
-    def _perform(self, event: Event, n: int) -> str:
-        """Perform an event; returns a status that is not OK, otherwise an empty text."""
-        match event:
-            case Create() | Update() | Delete() | Submission() | Activate() | Deactivate():
-                method, params = request(event, n)
-                return trouble(self.nodes[event.node].call(method, **params))
-            case Down(node=node):
-                self.nodes[node].kill()
-            case Up(node=node):
-                self.nodes[node].start()
-            case Restart(node=node):
-                self.nodes[node].kill()
-                self.nodes[node].start()
-            case Partition(groups=groups):
-                self._fabric.partition(groups)
-            case Heal():
-                self._fabric.partition(())
-            case SetLink(sender=int() as sender, receiver=int() as receiver, quality=quality):
-                for direction in ((sender, receiver), (receiver, sender))[: 1 + event.both_ways]:
-                    self._fabric.set_quality(direction, quality)
-            case SetLink(quality=quality):
-                self._fabric.set_quality(None, quality)
-        return ""
+    def _switch(self, node: int, *, up: bool) -> None:
+        if up:
+            self.nodes[node].start()
+        else:
+            self.nodes[node].kill()
+
+    def _partition(self, groups: Sequence[Sequence[int]]) -> None:
+        self._fabric.partition(groups)
+
+    def _set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        self._fabric.set_quality(direction, quality)
 
     # -- results -------------------------------------------------------------------------------------------------------
 
@@ -306,36 +258,9 @@ class Testbed:
         found = (self._numbers.get(each["nodeId"]) for each in table["neighbours"])
         return sorted(index for index in found if index is not None)
 
-    def _report(self, elapsed: float) -> Report:
-        """Return the report of a run that took ``elapsed`` s."""
-        scenario = self.scenario
-        traffic = list(self._traffic())
-        failures = [node.failure for node in self.nodes if node.failure]
-        return Report(
-            title=scenario.title,
-            ground="testbed",
-            nodes=scenario.nodes,
-            profile=scenario.profile,
-            seed=scenario.seed,
-            duration_s=scenario.duration_s,
-            provenance=self._provenance,
-            findings=[
-                *judge_all(scenario.expect, self.clock.events, traffic),
-                *self.findings,
-                Finding("no node ends unexpectedly", not failures, "; ".join(failures[:3])),
-                Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
-            ],
-            convergences=self.clock.events,
-            traffic=traffic,
-            elapsed_s=elapsed,
-            late_s=round(self._late, 3),
-            slowest_start_s=round(self._slowest_start, 3),
-        )
-
     def _traffic(self) -> Iterator[NodeTraffic]:
         """Yield the traffic of each node, over all its processes."""
-        interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)}
-        interrupted |= set(self.scenario.down_at_start)
+        interrupted = self._interrupted
         for node in self.nodes:
             rate, left_out = None, 0.0
             for first, last in node.runs:

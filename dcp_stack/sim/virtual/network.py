@@ -15,8 +15,8 @@ from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
 from dcp_stack.node import Node
-from dcp_stack.positions import PositionSource, SafetyFields
-from dcp_stack.positions.base import Sample
+from dcp_stack.positions.base import PositionSource, Sample
+from dcp_stack.positions.fields import SafetyFields
 from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
 from dcp_stack.virtual.medium import Arrival, SimulatedMedium, TraceDigest

@@ -5,53 +5,44 @@ from __future__ import annotations
 import copy
 import random
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from msgspec.structs import astuple
 
 from dcp_codec.analysis.vantage_point import MEDIUM
-from dcp_codec.codec import Codec
-from dcp_stack.control.client import ServiceError
 from dcp_stack.effects import NeighbourExpired, NeighbourSeen, VariableChanged
 from dcp_stack.links.recording import Recorder
-from dcp_stack.positions import SourceError, open_source
-from dcp_stack.sim.measuring import Ages, Measurements
-from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
+from dcp_stack.positions.base import SourceError
+from dcp_stack.positions.opening import open_source
+from dcp_stack.sim.measuring.ages import Ages
+from dcp_stack.sim.measuring.measurements import Measurements
+from dcp_stack.sim.scenario.agreement import Known
 from dcp_stack.sim.scenario.definition import (
     NS_PER_S,
     Activate,
     Clock,
-    Create,
     Deactivate,
-    Delete,
-    Down,
     Event,
-    Heal,
     LinkQuality,
-    Partition,
-    Restart,
     Scenario,
     ScenarioError,
-    SetLink,
-    Submission,
-    Up,
-    Update,
 )
-from dcp_stack.sim.scenario.expectations import VariableState, checks, describe, judge_all, judge_now
-from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
-from dcp_stack.sim.scenario.provenance import Provenance
+from dcp_stack.sim.scenario.expectations import VariableState
+from dcp_stack.sim.scenario.ground import Ground
 from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
-from dcp_stack.sim.scenario.requests import request, trouble
 from dcp_stack.virtual.medium import MediumCounters
 from dcp_stack.virtual.radio import RadioError
 
 from .network import Network
 
 
-class Simulation:
+class Simulation(Ground):
     """One run of a scenario. After the run ``network`` and ``agreement`` have the final state."""
+
+    name = "simulate"
+    survival = "no node raises an exception"
 
     def __init__(
         self,
@@ -65,9 +56,7 @@ class Simulation:
 
         Raises :class:`ScenarioError` for parameters that the nodes refuse, LinkError if a file cannot be recorded.
         """
-        self.scenario = check(scenario)
-        self.codec: Codec = scenario_codec(scenario)
-        check_nodes(scenario, self.codec)
+        super().__init__(scenario)
         try:
             radio = None if scenario.radio is None else scenario.radio.radio()
         except RadioError as error:
@@ -85,11 +74,7 @@ class Simulation:
             readings=scenario.readings,
             share_decoding=share_decoding,
         )
-        self.agreement = Agreement(scenario.nodes)
-        self.clock = ConvergenceClock()
-        self.findings: list[Finding] = []
         self._recorders: list[Recorder] = []
-        self._problems: list[str] = []
         period = scenario.bp.beacon_period_ms * 1_000_000
         queued = scenario.vardis_config.bp_queue_entries if scenario.vardis_config is not None else 1
         self._numbers = {station.config.node_id: station.index for station in self.network.stations}
@@ -114,6 +99,11 @@ class Simulation:
         self.network.listen(NeighbourSeen, self._seen)
         self.network.listen(NeighbourExpired, self._expired)
 
+    @property
+    def now(self) -> int:
+        """Current virtual time in ns."""
+        return self.network.now
+
     # -- running -------------------------------------------------------------------------------------------------------
 
     def run(self) -> Report:
@@ -128,34 +118,32 @@ class Simulation:
         except RadioError as error:
             raise ScenarioError(f"radio.model: {error}") from error
         except KeyboardInterrupt:
-            at = f"interrupted at {self.network.now / NS_PER_S:.3f} s; later expectations are not judged"
+            at = f"interrupted at {self.now / NS_PER_S:.3f} s; later expectations are not judged"
             self.findings.append(Finding("the run reaches its end", False, at))
         finally:
             self.network.close()
             for recorder in self._recorders:
                 recorder.close()
-        return self._report(time.perf_counter() - real, time.process_time() - cpu)
+        return self._result(time.perf_counter() - real, time.process_time() - cpu)
 
     def _plan(self) -> None:
         """Schedule the start of nodes, the events and the expectations of the scenario."""
         network, scenario = self.network, self.scenario
         for link in scenario.links:
-            for sender, receiver in link.directions:
-                self._set_link(sender, receiver, link.quality)
+            for direction in link.directions:
+                self._set_quality(direction, link.quality)
         network.listen(VariableChanged, self._changed)
         # Real nodes do not start simultaneously: each starts at a random moment of the first beacon period.
         spread = random.Random(f"{scenario.seed}/start")  # noqa: S311 - runs have to be repeatable
         for node in range(scenario.nodes):
             begin = spread.randrange(scenario.bp.beacon_period_ms * 1_000_000)
             if node not in scenario.down_at_start:
-                network.at(begin, lambda node=node: self._switch_on(node))  # type: ignore[misc]
+                network.at(begin, lambda node=node: self._switch(node, up=True))  # type: ignore[misc]
         self._attach_tracks()
         if scenario.warm_up:
             network.at(scenario.warm_up, self._warmed_up)
-        for at, n, event in scenario.timeline():
-            network.at(at, lambda event=event, n=n: self._happen(event, n))  # type: ignore[misc]
-        for at, expected in checks(scenario):
-            network.at(at, lambda expected=expected: self.findings.append(judge_now(expected, self)))  # type: ignore[misc]
+        for at, act in self._timeline():
+            network.at(at, act)
 
     def _attach_tracks(self) -> None:
         """Open the position sources of the scenario. Raises ScenarioError for one that cannot be opened."""
@@ -175,7 +163,6 @@ class Simulation:
 
     def _record(self, directory: Path | None, medium: Path | None) -> None:
         """Attach recorders to the nodes and to the medium."""
-        made_by = Provenance.of(self.scenario, self.codec)
 
         def recorder(path: Path, vantage: str) -> Recorder:
             """Open a recording with this vantage point in its metadata."""
@@ -183,10 +170,10 @@ class Simulation:
                 "vantage": vantage,
                 "ground": "simulate",
                 "seed": str(self.scenario.seed),
-                "scenario_sha256": made_by.scenario_sha256,
-                "kit_version": made_by.kit_version,
+                "scenario_sha256": self.provenance.scenario_sha256,
+                "kit_version": self.provenance.kit_version,
             }
-            made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.network.now, about=about)
+            made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.now, about=about)
             self._recorders.append(made)
             return made
 
@@ -201,75 +188,44 @@ class Simulation:
 
     # -- events --------------------------------------------------------------------------------------------------------
 
-    def _happen(self, event: Event, n: int) -> None:
-        """Perform the ``n``-th repetition of an event, and note if it fails."""
-        what = describe(event, n)
-        if event.disturbs:
-            self.clock.event(self.network.now, what)
-        try:
-            status = self._perform(event, n)
-        except (LookupError, ServiceError) as error:
-            status = str(error)
-        if status:
-            self._problems.append(f"at {self.network.now / NS_PER_S:g} s {what}: {status}")
-        if isinstance(event, Partition | Heal | SetLink):
-            self.measurements.connections_changed()
-        self._look()
-
     def _perform(self, event: Event, n: int) -> str:
-        """Perform an event; returns a status that is not OK, otherwise an empty text.
+        if isinstance(event, Clock):
+            self.network.stations[event.node].offset += round(event.step_s * NS_PER_S)
+            return ""
+        status = super()._perform(event, n)
+        if isinstance(event, Activate | Deactivate):
+            self._refresh(event.node)
+        return status
 
-        Raises LookupError if the node is switched off, ServiceError if it answers with an error.
-        """
-        network, medium = self.network, self.network.medium
-        match event:
-            case Create() | Update() | Delete() | Submission() | Activate() | Deactivate():
-                method, params = request(event, n)
-                found = network.request(event.node, method, **params)
-                if isinstance(event, Activate | Deactivate):
-                    self._refresh(event.node)
-                return trouble(found)
-            case Down(node=node):
-                self._switch_off(node)
-            case Up(node=node):
-                self._switch_on(node)
-            case Restart(node=node):
-                self._switch_off(node)
-                self._switch_on(node)
-            case Clock(node=node, step_s=step):
-                network.stations[node].offset += round(step * NS_PER_S)
-            case Partition(groups=groups):
-                medium.partition(groups)
-            case Heal():
-                medium.partition()
-            case SetLink(sender=int() as sender, receiver=int() as receiver, quality=quality):
-                self._set_link(sender, receiver, quality)
-                if event.both_ways:
-                    self._set_link(receiver, sender, quality)
-            case SetLink(quality=quality):
-                for pair in self.scenario.topology.pairs(len(network)):
-                    for sender, receiver in (pair, pair[::-1]):
-                        if (sender, receiver) not in self._own_quality:
-                            medium.set_quality(quality.quality(), sender, receiver)
-        return ""
+    def _request(self, node: int, method: str, params: dict[str, Any]) -> dict[str, Any]:
+        return self.network.request(node, method, **params)
 
-    def _set_link(self, sender: int, receiver: int, quality: LinkQuality) -> None:
-        """Set the quality of one direction. Events for all links do not change it any more."""
-        self._own_quality.add((sender, receiver))
-        self.network.medium.set_quality(quality.quality(), sender, receiver)
+    def _partition(self, groups: Sequence[Sequence[int]]) -> None:
+        self.network.medium.partition(groups)
+        self.measurements.connections_changed()
 
-    def _switch_on(self, node: int) -> None:
-        """Start a node, and include it in the measurements."""
-        self.measurements.on(node)
-        self.network.start(node)
-        self._refresh(node)
+    def _set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        """Set the quality of one direction, which events for all links do not change any more, or of all others."""
+        if direction is None:
+            pairs = self.scenario.topology.pairs(len(self.network))
+            chosen = [each for pair in pairs for each in (pair, pair[::-1]) if each not in self._own_quality]
+        else:
+            self._own_quality.add(direction)
+            chosen = [direction]
+        for sender, receiver in chosen:
+            self.network.medium.set_quality(quality.quality(), sender, receiver)
+        self.measurements.connections_changed()
 
-    def _switch_off(self, node: int) -> None:
-        """Stop a node, and exclude it from the measurements."""
-        self.measurements.off(self.network.now, node)
-        if self.ages is not None:
-            self.ages.lost(self.network.now, node)
-        self.network.stop(node)
+    def _switch(self, node: int, *, up: bool) -> None:
+        """Start or stop a node, and include it in the measurements or exclude it."""
+        if up:
+            self.measurements.on(node)
+            self.network.start(node)
+        else:
+            self.measurements.off(self.now, node)
+            if self.ages is not None:
+                self.ages.lost(self.now, node)
+            self.network.stop(node)
         self._refresh(node)
 
     def _refresh(self, index: int) -> None:
@@ -281,12 +237,11 @@ class Simulation:
             self.agreement.forget(index)
         active = vardis is not None and vardis.active
         self.agreement.enter(index, active)
-        self.measurements.consistency.enter(self.network.now, index, active)
+        self.measurements.consistency.enter(self.now, index, active)
         self._look()
 
     def _look(self) -> None:
-        """Check whether the databases agree now."""
-        self.clock.look(self.network.now, self.agreement)
+        self.clock.look(self.now, self.agreement)
 
     def _changed(self, now: int, index: int, effect: VariableChanged) -> None:
         """Pass a change of a variable at a node to agreement and measurements."""
@@ -321,8 +276,8 @@ class Simulation:
     def _warmed_up(self) -> None:
         """Restart traffic counters and consistency at the end of the warm-up."""
         self._before = Traffic.of(self.network)
-        self.measurements.consistency.settle(self.network.now)
-        self.measurements.consistency.restart(self.network.now)
+        self.measurements.consistency.settle(self.now)
+        self.measurements.consistency.restart(self.now)
 
     # -- results -------------------------------------------------------------------------------------------------------
 
@@ -344,17 +299,10 @@ class Simulation:
         numbers = {each.config.node_id: each.index for each in self.network.stations}
         return sorted(numbers[found] for found in there.srp.neighbours.list_all_node_ids() if found in numbers)
 
-    def _report(self, elapsed: float, cpu: float) -> Report:
+    def _result(self, elapsed: float, cpu: float) -> Report:
         """Return the report of a run that took ``elapsed`` s of real time and ``cpu`` s of CPU time."""
         scenario, medium = self.scenario, Traffic.of(self.network).since(self._before).medium
-        traffic = list(self._traffic())
         failures = [f"node {each.index} {each.failure}" for each in self.network.stations if each.failure]
-        findings = [
-            *judge_all(scenario.expect, self.clock.events, traffic),
-            *self.findings,
-            Finding("no node raises an exception", not failures, "; ".join(failures[:3])),
-            Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
-        ]
         totals = self.measurements.values.totals()
         if scenario.bp.triggered and scenario.vardis and scenario.readings.get("X54") != "after-the-beacon":
             totals.notes.append(
@@ -369,21 +317,14 @@ class Simulation:
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
         shares |= {"missed": medium.missed, "overlapped": medium.overlapped, "corrupted": medium.corrupted}
-        return Report(
-            title=scenario.title,
-            ground="simulate",
-            nodes=scenario.nodes,
-            profile=scenario.profile,
-            seed=scenario.seed,
-            duration_s=self.network.now / NS_PER_S,
-            provenance=Provenance.of(scenario, self.codec),
-            findings=findings,
-            convergences=self.clock.events,
-            traffic=traffic,
+        return self._report(
+            list(self._traffic()),
+            failures,
+            duration_s=self.now / NS_PER_S,
             values=totals,
             delays=self.measurements.values.rows(),
-            consistency=self.measurements.consistency.found(self.network.now),
-            ages=[] if self.ages is None else self.ages.found(self.network.now),
+            consistency=self.measurements.consistency.found(self.now),
+            ages=[] if self.ages is None else self.ages.found(self.now),
             shares={name: number / total for name, number in shares.items() if number or name == "delivered"},
             expected=medium.expected,
             digest=self.network.digest.hexdigest(),
@@ -393,14 +334,12 @@ class Simulation:
 
     def _traffic(self) -> Iterator[NodeTraffic]:
         """Yield the traffic of each node since the warm-up."""
-        interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)} | set(
-            self.scenario.down_at_start
-        )
+        interrupted = self._interrupted
         counted = Traffic.of(self.network).since(self._before).nodes
         for each, (sent, octets, received) in zip(self.network.stations, counted, strict=True):
             rate = None
             if each.up_since is not None and each.index not in interrupted:
-                up = self.network.now - max(each.up_since, self.scenario.warm_up)
+                up = self.now - max(each.up_since, self.scenario.warm_up)
                 rate = sent / (up / NS_PER_S) if up else None
             yield NodeTraffic(each.index, sent, octets, received, rate)
 

@@ -10,8 +10,9 @@ import click
 
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.runtime.opening import NodeError, open_node
-from dcp_stack.runtime.settings import SettingsError, load_settings
+from dcp_stack.runtime.errors import NodeError
+from dcp_stack.runtime.opening import open_node
+from dcp_stack.runtime.settings import load_settings
 
 from .mutant import Mutant, all_mutants
 
@@ -43,7 +44,7 @@ def command(mutant: str, config: Path | None, log_level: str | None, **flags: An
     try:
         with open_node(load_settings(config, flags), make) as driver:
             driver.run(lambda: None)
-    except (NodeError, SettingsError) as error:
+    except NodeError as error:
         raise click.ClickException(str(error)) from None
 
 

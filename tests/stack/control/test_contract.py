@@ -11,7 +11,7 @@ import pytest
 from referencing import Registry
 from referencing.jsonschema import DRAFT202012
 
-from dcp_stack.control import METHODS, NOTIFICATIONS
+from dcp_stack.control.methods import METHODS, NOTIFICATIONS
 from dcp_stack.control.schema import schema_text, upper_tester_schema
 
 from ..control_rig import Rig

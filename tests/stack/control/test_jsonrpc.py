@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from dcp_codec.common.lines import LineBuffer, LineTooLongError
 from dcp_stack.bp.services import StatusConfirm
-from dcp_stack.control import METHODS
 from dcp_stack.control import server as server_module
 from dcp_stack.control.jsonrpc import MAX_LINE
+from dcp_stack.control.methods import METHODS
 from dcp_stack.control.server import HIGH_WATER, MAX_BACKLOG, MAX_BATCH
 
 from ...chance import examples

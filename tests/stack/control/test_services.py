@@ -10,7 +10,7 @@ from dcp_spec.profile.loading import profile_names
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, Payload
 from dcp_stack.config import NodeConfig, SRPConfig
-from dcp_stack.control import METHODS
+from dcp_stack.control.methods import METHODS
 from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from dcp_stack.sim.measuring import AgeRow, Ages
+from dcp_stack.sim.measuring.ages import AgeRow, Ages
 from dcp_stack.sim.scenario.definition import Down, LinkQuality, Scenario, Topology, Tracks
 from dcp_stack.sim.virtual.player import Simulation
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_stack.effects import VariableChanged
-from dcp_stack.sim.measuring import Consistency
+from dcp_stack.sim.measuring.consistency import Consistency
 from dcp_stack.sim.scenario.definition import (
     Create,
     Down,

@@ -13,7 +13,7 @@ from operator import itemgetter
 import pytest
 
 from dcp_stack.cli import main
-from dcp_stack.sim.measuring import DelayRow
+from dcp_stack.sim.measuring.values import DelayRow
 from dcp_stack.sim.scenario.definition import ScenarioError
 from dcp_stack.sim.sweep.plan import load_study, study_from
 from dcp_stack.sim.sweep.results import Estimate, Outcome, outcome, stored, summaries

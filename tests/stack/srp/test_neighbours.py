@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import ExtendedSafetyData
-from dcp_stack.positions import Motion, closest_approach
-from dcp_stack.positions.geometry import distance, velocity_between
+from dcp_stack.positions.geometry import Motion, closest_approach, distance, velocity_between
 from dcp_stack.srp.neighbour_table import RESTART_GAP, NeighbourTable
 from dcp_stack.timestamps import StampClock
 

@@ -11,7 +11,7 @@ import pytest
 from dcp_codec.codec import get_codec
 from dcp_stack.cli import status, var
 from dcp_stack.config import NodeConfig
-from dcp_stack.control import ControlServer
+from dcp_stack.control.server import ControlServer
 from dcp_stack.node import Node
 from dcp_stack.vardis.delivery import ASKED_OFTEN, MOST_ENTRIES
 

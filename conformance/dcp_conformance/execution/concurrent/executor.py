@@ -420,23 +420,17 @@ class SideBySide:
             self._waiting.appendleft(case)
             self._draining = self._used_up = True
             return
-        if (
-            trial.verdict is Verdict.PASS
-            and not trial.upper_tester_error
-            and not trial.bench.restoration.restore_failure
-            and not unreached(trial.bench.traffic.events)
-        ):
+        reached = not trial.upper_tester_error and not unreached(trial.bench.traffic.events)
+        passed = trial.verdict is Verdict.PASS and reached and not trial.bench.restoration.restore_failure
+        if passed:
             self._doubts = 0
             self._calm += 1
             if self._calm >= _CALM:
                 self.width, self._calm = min(2 * self.width, self._usual), 0
             self.reasons.pop(case.id, None)
-            result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
-            self._passed.append(_Pass(trial, result, session.lower.now()))
-            return
-        final = trial.verdict is Verdict.INCONCLUSIVE and not trial.upper_tester_error and not trial.disturbed
-        if final and stands(session, case, trial.checks):
-            # No repetition can decide it.
+        final = trial.verdict is Verdict.INCONCLUSIVE and reached and not trial.disturbed
+        # No repetition can decide an inconclusive case that stands.
+        if passed or (final and stands(session, case, trial.checks)):
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
             return

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,6 @@ from dcp_codec.common.workers import Worker
 from dcp_codec.network.namespaces import NamespaceError
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.selection import Selection
-from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.results import CaseResult
 
@@ -73,8 +73,16 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
             target = run.options
             if target.output is not None:
                 target = dataclasses.replace(target, output=target.output.with_stem(f"{target.output.stem}-{number}"))
-            how = _How(run.repeat, run.max_fails, run.side_by_side, run.artefacts, cable)
-            worker = Worker(context, _execute_share, target, _selection(run, share), how)
+            make = functools.partial(
+                ConformanceRun,
+                target,
+                _selection(run, share),
+                repeat=run.repeat,
+                max_fails=run.max_fails,
+                artefacts=run.artefacts,
+                side_by_side=run.side_by_side,
+            )
+            worker = Worker(context, _execute_share, make, cable, target.output and target.output.parent)
             stack.callback(worker.end, terminate=True)
             connections[worker.connection] = worker
         ends: list[WorkerEnd] = []
@@ -127,19 +135,14 @@ def messages(connections: dict[Connection, Worker]) -> Iterator[Any]:
             yield message
 
 
-class _How(NamedTuple):
-    """How a worker executes its share; see :class:`ConformanceRun`."""
+def _execute_share(
+    to: Connection, make: Callable[..., ConformanceRun], cable: Cable | None, shared: Path | None
+) -> None:
+    """Execute one share of the cases and send the results: the main function of a worker process.
 
-    repeat: int
-    max_fails: int
-    side_by_side: int
-    artefacts: Path | None
-    cable: Cable | None
-    """The cable of an implementation of the user, which the worker starts in namespaces of its own."""
-
-
-def _execute_share(to: Connection, options: TargetOptions, selection: Selection, how: _How) -> None:
-    """Execute one share of the cases and send the results: the main function of a worker process."""
+    ``make`` makes its run. ``cable``: that of an implementation of the user, which the worker starts in namespaces of
+    its own; ``shared``: the folder in which it makes files for others.
+    """
     # Ctrl-C is sent to the whole process group; the parent handles it and ends the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The parent ends a worker by SIGTERM. As a KeyboardInterrupt it closes all resources.
@@ -154,17 +157,9 @@ def _execute_share(to: Connection, options: TargetOptions, selection: Selection,
             to.send(msgspec.json.encode(result))
 
     try:
-        if how.cable is not None:
-            enter(how.cable, options.output and options.output.parent)
-        run = ConformanceRun(
-            options,
-            selection,
-            repeat=how.repeat,
-            max_fails=how.max_fails,
-            artefacts=how.artefacts,
-            side_by_side=how.side_by_side,
-            on_result=report,
-        )
+        if cable is not None:
+            enter(cable, shared)
+        run = make(on_result=report)
         run.execute(lambda result: to.send(Revised(msgspec.json.encode(result))))
         to.send(run.end())
     except NamespaceError as error:
