@@ -67,11 +67,15 @@ def result_of(
 
 def doubted(check: Check, executions: int, why: str) -> Check:
     """Return a failed check as inconclusive: it did not fail in each of so many further executions."""
+    each = "a further execution" if executions == 1 else f"each of {executions} further executions"
+    return excused(check, f"it did not fail in {each}, and {why}")
+
+
+def excused(check: Check, why: str) -> Check:
+    """Return a failed check as inconclusive for the reason ``why``."""
     if check.verdict is not Verdict.FAIL:
         return check
-    each = "a further execution" if executions == 1 else f"each of {executions} further executions"
-    observed = f"{check.observed}; but it did not fail in {each}, and {why}"
-    return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=observed)
+    return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
 
 
 def _reason(checks: Iterable[Check], verdict: Verdict, executions: int) -> str:

@@ -31,7 +31,7 @@ from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 from dcp_conformance.upper_tester.faults import Violation
 
 from .body import delete_variables, recorded, run_body
-from .case_results import doubted, result_of
+from .case_results import doubted, excused, result_of
 from .remarks import deaths_alike, executed_again, left_changed, listed
 from .survival.attribution import Attribution, Trial, attribute, blamed, came_back, kinds, with_failures_of
 from .survival.life import Life
@@ -51,6 +51,8 @@ _ALIVE = "the implementation is alive"
 MOST_EXECUTIONS = 6
 #: Number of further executions in which a failure must recur that lateness may explain.
 CONFIRMATIONS = 2
+#: Probability above which the declared loss of the link may have caused the same failure in each execution.
+_BY_LOSS = 1e-3
 
 
 class _Done(NamedTuple):
@@ -335,8 +337,11 @@ class Runner:
         """
         if trial.verdict is not Verdict.FAIL or trial.loss is not None:
             return trial, 0
-        why, executions, recurred = trial.bench.verdicts.may_be_late, 0, 0
-        while why and recurred < CONFIRMATIONS:
+        losses, why, executions, recurred = trial.bench.losses, trial.bench.verdicts.may_be_late, 0, 0
+        # With the declared loss and many stimuli, some may be lost in each execution.
+        counts = range(CONFIRMATIONS, MOST_EXECUTIONS + 1)
+        needed = next((count for count in counts if losses.chance ** (1 + count) < _BY_LOSS), None)
+        while why and recurred < (needed or CONFIRMATIONS):
             with self._provisionally():
                 again = self._trial(trial.case)
                 if again.used_up and self.session.renewable:
@@ -346,13 +351,15 @@ class Runner:
                 return again, executions
             if trial.failed & again.failed:
                 recurred += 1
-            elif again.verdict is Verdict.PASS and trial.bench.losses.declared:
+            elif again.verdict is Verdict.PASS and losses.declared:
                 # Without the lost frame, the case passes.
                 return again, executions
             elif not again.disturbed or executions >= MOST_EXECUTIONS:
                 # An execution that the tester's own lateness leaves undecided shows nothing.
                 trial.checks = [doubted(each, executions, why) for each in trial.checks]
                 break
+        if needed is None:
+            trial.checks = [excused(each, f"{losses.declared}, which may explain it") for each in trial.checks]
         return trial, executions
 
     def _trial_after_restart(self, trial: Trial) -> Trial:

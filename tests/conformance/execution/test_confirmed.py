@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from dcp_conformance.execution.runner import CONFIRMATIONS
+from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
@@ -97,3 +98,21 @@ def test_an_execution_that_is_undecided_shows_nothing():
 
     result = rig.run(body)
     assert (result.verdict, result.executions) == (Verdict.FAIL, 2 + CONFIRMATIONS)
+
+
+@pytest.mark.parametrize(
+    ("stimuli", "verdict"), [(1, Verdict.FAIL), (20, Verdict.FAIL), (60, Verdict.INCONCLUSIVE)], ids=str
+)
+def test_a_declared_loss_may_explain_a_failure_after_many_stimuli(stimuli: int, verdict: Verdict):
+    """Of 60 frames, a link that loses two of a hundred loses one in most executions; of 20, not in seven in a row."""
+
+    def body(bench: Bench, _: int) -> None:
+        peer = bench.peer()
+        for _ in range(stimuli):
+            peer.send(peer.summary(bench.unknown_id(), 1))
+        bench.verdicts.check(False, "reactions to all of them", "some are missing")
+
+    result = Rig(Pics(pixit=Testing(loss=0.02))).run(body)
+    assert result.verdict is verdict
+    assert ("which may explain it" in result.reason) is (verdict is Verdict.INCONCLUSIVE)
+    assert result.executions == {1: 1 + CONFIRMATIONS, 20: 7, 60: 1 + CONFIRMATIONS}[stimuli]

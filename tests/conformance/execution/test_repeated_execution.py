@@ -31,11 +31,11 @@ class Losing(VirtualLowerTester):
 class Rig:
     """Executes one case, whose body gets the bench and the number of the execution, from 1 on."""
 
-    def __init__(self) -> None:
+    def __init__(self, pics: Pics | None = None) -> None:
         codec = codec_of("dcp-2.0")
         self.sut = InProcess(reference_config(codec))
         self.lower = Losing(self.sut)
-        self.runner = Runner(Session(codec, self.lower, self.sut.upper_tester(), Pics()), self.sut)
+        self.runner = Runner(Session(codec, self.lower, self.sut.upper_tester(), pics or Pics()), self.sut)
         self.runner.prepare()
 
     def run(self, body: Callable[[Bench, int], None]) -> CaseResult:

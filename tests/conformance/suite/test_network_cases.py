@@ -10,6 +10,7 @@ import msgspec
 import pytest
 from dcp_conformance.model.pics import Capabilities, Pics
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import VirtualLowerTester
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec
@@ -262,3 +263,21 @@ def test_wrong_nodes_fail(make, case_id, requirement):
     assert result.verdict is Verdict.FAIL, f"{result.verdict}: {result.reason}"
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert requirement in failed
+
+
+def test_a_lost_create_is_sent_again_before_the_updates_of_thirty_neighbours(monkeypatch) -> None:
+    """A node that does not know the variable does not forward its updates."""
+    codec, send, lost = codec_of("dcp-2.0"), VirtualLowerTester.send, []
+
+    def lossy(self: VirtualLowerTester, octets: bytes, source: bytes) -> bytes:
+        created = [each for each in codec.decode(octets).payloads if each.vardis]
+        records = created[0].vardis[0].records if created else ()
+        if records and not lost and isinstance(records[0], VarCreate) and records[0].upd.value == b"v":
+            lost.append(octets)
+            return self.framed(octets, source)
+        return send(self, octets, source)
+
+    monkeypatch.setattr(VirtualLowerTester, "send", lossy)
+    result = one_case("TC_NET_CROWD_BV_02")
+    assert lost
+    assert result.verdict is Verdict.PASS, result.reason

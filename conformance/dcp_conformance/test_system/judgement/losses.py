@@ -111,6 +111,12 @@ class Losses:
         """The declared loss of the link, as a reason; empty if none is declared."""
         return f"the link loses {self._sut.pixit.loss:.0%} of the frames (pixit.loss)" if self._sut.pixit.loss else ""
 
+    @property
+    def chance(self) -> float:
+        """The probability, 0..1, that a link with the declared loss has lost a frame of the tester in this case."""
+        sent = sum(each.direction == "sent" for each in self._traffic.events)
+        return 1 - (1 - (self._sut.pixit.loss or 0)) ** sent
+
     def lateness(self) -> str:
         """Describe delays after which a reaction may have come too late for a wait of the case; empty without any."""
         silence = self._steps.silence_ns

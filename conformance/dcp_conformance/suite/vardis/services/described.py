@@ -24,11 +24,12 @@ def _made(bench: Bench, kind: str) -> VarCreate:
         return record
     var_id = bench.identifiers.own_var_id()
     request = create_request(bench, var_id, rep_cnt=count, descr="field", value=b"\x01\x02", timeout=timeout)
+    since = bench.mark()
     bench.must("RTDB-Create", **request)
     found = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if not isinstance(found, VarCreate):
         bench.inconclusive("a VarCreate of the node's own variable, which this case needs", "none in time")
-    settled(bench, var_id)
+    settled(bench, var_id, since)
     return found
 
 
