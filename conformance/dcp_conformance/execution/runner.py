@@ -51,8 +51,9 @@ _ALIVE = "the implementation is alive"
 MOST_EXECUTIONS = 6
 #: Number of further executions in which a failure must recur that lateness may explain.
 CONFIRMATIONS = 2
-#: Probability above which the declared loss of the link may have caused the same failure in each execution.
-_BY_LOSS = 1e-3
+#: Probability above which the declared loss of the link may have caused the same failure in each execution, which is to
+#: be rare in a whole run; and the maximum number of recurrences that this takes.
+_BY_LOSS, _MOST_CONFIRMATIONS = 1e-6, 12
 
 
 class _Done(NamedTuple):
@@ -339,7 +340,7 @@ class Runner:
             return trial, 0
         losses, why, executions, recurred = trial.bench.losses, trial.bench.verdicts.may_be_late, 0, 0
         # With the declared loss and many stimuli, some may be lost in each execution.
-        counts = range(CONFIRMATIONS, MOST_EXECUTIONS + 1)
+        counts = range(CONFIRMATIONS, _MOST_CONFIRMATIONS + 1)
         needed = next((count for count in counts if losses.chance ** (1 + count) < _BY_LOSS), None)
         while why and recurred < (needed or CONFIRMATIONS):
             with self._provisionally():
@@ -354,11 +355,11 @@ class Runner:
             elif again.verdict is Verdict.PASS and losses.declared:
                 # Without the lost frame, the case passes.
                 return again, executions
-            elif not again.disturbed or executions >= MOST_EXECUTIONS:
+            elif not again.disturbed or executions >= max(MOST_EXECUTIONS, 2 * (needed or 0)):
                 # An execution that the tester's own lateness leaves undecided shows nothing.
                 trial.checks = [doubted(each, executions, why) for each in trial.checks]
                 break
-        if needed is None:
+        if why and needed is None:
             trial.checks = [excused(each, f"{losses.declared}, which may explain it") for each in trial.checks]
         return trial, executions
 
