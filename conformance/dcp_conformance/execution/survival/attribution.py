@@ -170,7 +170,8 @@ def _unfulfilled(trial: Trial) -> tuple[str, ...]:
 
     It is that of the first reaction that was missing, otherwise the first one that no check has shown, because the
     implementation owed the reaction. A case that was cut short, because a call did not succeed that it needs, has not
-    reached the step that shows it. A call that only prepares the case is not its stimulus.
+    reached the step that shows it; a frame that was outlived is not the cause. A call that only prepares the case is
+    not its stimulus.
     """
     case, stimulus = trial.case, trial.stimulus
     if case.kind is not Kind.VALID or case.robustness or case.needs.link or stimulus is None:
@@ -180,7 +181,8 @@ def _unfulfilled(trial: Trial) -> tuple[str, ...]:
     missing = (check.requirements for check in trial.checks if check.verdict is Verdict.FAIL and not check.shown)
     if owed := next(missing, ()):
         return owed
-    if stimulus.direction == "call" and any(check.verdict is Verdict.INCONCLUSIVE for check in trial.checks):
+    cut_short = stimulus.direction == "call" and any(check.verdict is Verdict.INCONCLUSIVE for check in trial.checks)
+    if cut_short or _is_outlived(stimulus, trial.bench):
         return ()
     shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
     return next(((each,) for each in case.requirements if each not in shown), ())
@@ -271,8 +273,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
     if deadly.direction == "call":
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
         return violated_by_death(case, deadly, events, shown, codec.profile.spec_version)
-    later = events[events.index(deadly) + 1 :]
-    if sum(each.direction == "heard" for each in later) >= _OUTLIVED:
+    if _is_outlived(deadly, trial.bench):
         return ()
     try:
         envelope, _ = codec.decode_envelope(deadly.frame[deadly.start :])
@@ -280,6 +281,13 @@ def survival(trial: Trial) -> tuple[str, ...]:
         return (_SURVIVAL_OF_FRAMES,)
     carried = {each.protocol_id for each in envelope.payloads}
     return (_SURVIVAL_OF_PAYLOADS,) if BP_PROTID_VARDIS in carried else (_SURVIVAL_OF_FRAMES,)
+
+
+def _is_outlived(stimulus: Event, bench: Bench) -> bool:
+    """Return whether several beacons were received after a frame, so that it is not the cause of a death."""
+    events = bench.traffic.events
+    later = events[events.index(stimulus) + 1 :] if stimulus.direction == "sent" else []
+    return sum(each.direction == "heard" for each in later) >= _OUTLIVED
 
 
 def kinds(codec: Codec, event: Event) -> frozenset[int] | None:
