@@ -1,9 +1,10 @@
 """Run a command, and fail if it has used more CPU seconds than it may: ``budget.py SECONDS COMMAND...``.
 
 CPU seconds of the command and of all processes that it waited for; wall time depends on what else the machine does. A
-second of a slow or shared processor does less than one of a fast one. The speed is therefore measured during the run.
-On a processor slower than that for which budgets are stated, the seconds are converted. On a faster one they
-are not: a small sample can fit the cache better than the command does. The exit status is that of the command,
+second of a slow or shared processor does less than one of a fast one. The speed is therefore measured during the run,
+with a sample that needs more memory than the caches of one processor have, as the command does: other machines on the
+same host slow down memory more than arithmetic. On a processor slower than that for which budgets are stated, the
+seconds are converted; on a faster one they are not. The exit status is that of the command,
 or 1 if the command succeeded but exceeded the budget.
 """
 
@@ -17,19 +18,28 @@ import sys
 import time
 
 #: CPU seconds of :func:`sample` on the machine for which budgets are stated, with all of its processors busy.
-REFERENCE = 0.0069
+REFERENCE = 0.0206
 #: Seconds between two samples.
 INTERVAL = 2.0
 
 
+class _Entry:
+    __slots__ = ("content", "number", "text")
+
+    def __init__(self, number: int) -> None:
+        self.number, self.text, self.content = number, (number, str(number)), {"number": number}
+
+
 def sample() -> float:
-    """Return the CPU seconds of a fixed piece of work, as Python programs do it."""
+    """Return the CPU seconds of a fixed piece of work, as Python programs do it: many small objects, out of order."""
     begun = time.thread_time()
-    table: dict[str, int] = {}
-    for number in range(30_000):
-        key = str(number % 997)
-        table[key] = table.get(key, 0) + number
-    json.loads(json.dumps(table))
+    many = 15_000
+    table = {number * 7919 % 1_000_003: _Entry(number) for number in range(many)}
+    total = 0
+    for number in range(many):
+        entry = table[number * 4729 % many * 7919 % 1_000_003]
+        total += entry.number + entry.content["number"] + len(entry.text[1])
+    json.loads(json.dumps(list(range(total % 7 + 3000))))
     return time.thread_time() - begun
 
 
