@@ -16,7 +16,7 @@ PROFILE = "dcp-2.0"
 #: Mutant, duration of a call in ms, cases, and the case and requirement that must fail.
 FAULTS = {
     "260 submissions in two beacons": ("M-BP-TX-08-any-number", 1, (), "TC_BP_TX_BV_05", "BP-TX-08"),
-    "a hang at one octet too many": ("M-BP-TX-04-hangs", 0, (), "TC_BP_TX_BV_01-one-octet", "BP-TXP-09"),
+    "a hang at one octet too many": ("M-BP-TX-04-hangs", 0, (), "TC_BP_TX_BV_01-one-octet", "BP-TX-04"),
     "exchanged fields in repeated reports": ("M-SRP-TYP-03-exchanged-again", 0, (), "TC_SRP_REC_BV_02", "SRP-TYP-03"),
     "a timeout that never expires": (
         "M-VD-TYP-04-signed", 0, ("TC_VD_SCR_TI_01-200",), "TC_VD_SCR_TI_12-received", "VD-SCR-01",
