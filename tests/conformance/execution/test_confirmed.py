@@ -104,7 +104,7 @@ def test_an_execution_that_is_undecided_shows_nothing():
     ("stimuli", "verdict"), [(1, Verdict.FAIL), (15, Verdict.FAIL), (60, Verdict.INCONCLUSIVE)], ids=str
 )
 def test_a_declared_loss_may_explain_a_failure_after_many_stimuli(stimuli: int, verdict: Verdict):
-    """Of 60 frames, a link that loses two of a hundred loses one in most executions; of 15, not in eleven in a row."""
+    """With a loss of 2 %, most executions lose one of 60 frames; eleven in a row rarely lose one of 15 each."""
 
     def body(bench: Bench, _: int) -> None:
         peer = bench.peer()

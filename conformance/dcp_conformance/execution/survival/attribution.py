@@ -169,9 +169,9 @@ def _unfulfilled(trial: Trial) -> tuple[str, ...]:
     """Return the requirement of a case that a death after a valid stimulus also violates; empty without one.
 
     It is that of the first reaction that was missing, otherwise the first one that no check has shown, because the
-    implementation owed the reaction. A case that was cut short, because a call did not succeed that it needs, has not
-    reached the step that shows it; a frame that was outlived is not the cause. A call that only prepares the case is
-    not its stimulus.
+    implementation owed the reaction. A case that ended early, because a call that it needs did not succeed, has not
+    reached the step that shows it. A frame after which several beacons came is not the cause. A call that only prepares
+    the case is not its stimulus.
     """
     case, stimulus = trial.case, trial.stimulus
     if case.kind is not Kind.VALID or case.robustness or case.needs.link or stimulus is None:

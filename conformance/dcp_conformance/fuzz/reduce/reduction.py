@@ -49,7 +49,7 @@ class Reduction:
     seconds: float | None = None
     known: Known | None = None
     confirmed: bool = field(default=False, init=False)
-    """Whether the result showed the effect again from the initial state."""
+    """Whether a repetition from the initial state had the same effect."""
     _minimiser: Minimiser | None = field(default=None, init=False)
     _found: Minimised | None = field(default=None, init=False)
 
