@@ -195,8 +195,9 @@ class Context:
         """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
         self.ledger = Ledger(MOST_VARIABLES)
         """The states of all variables at all nodes."""
-        self.numbers: Numbers | None = None
-        """Finds the news in place of the ledger, if no rule needs that; :attr:`lives` is not kept either."""
+        self.keeper: Ledger | Numbers | None = self.ledger
+        """Finds the news: :class:`Numbers` if no rule needs the ledger, None if no rule needs the news. Then
+        :attr:`lives` is not kept either."""
 
     def withhold(self, requirement: str, why: str) -> None:
         """Keep a requirement from the verdict pass; the first reason is kept.
@@ -212,16 +213,15 @@ class Context:
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
         if self.ledger.begin is None:
             self.ledger.begin = seen.time
-        if seen.parts:
+        if seen.parts and self.keeper is not None:
             sender = self.senders.get(seen.sender)
             if sender is None:
                 seen.news = [(each, None, None) for each in seen.statements]
             else:
-                keeper = self.ledger if self.numbers is None else self.numbers
-                seen.news, seen.again = keeper.feed_parts(
+                seen.news, seen.again = self.keeper.feed_parts(
                     seen.number, seen.time, seen.sender, seen.parts, sender.unbroken
                 )
-                if keeper is self.numbers:
+                if self.keeper is not self.ledger:
                     return
             for each, before, _ in seen.news:
                 # A later update or summary of a known variable has no effect on its lifetime.

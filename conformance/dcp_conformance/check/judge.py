@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 import time
 from collections import OrderedDict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -59,10 +59,9 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_dialogue.RULES,
     *rules_network.RULES,
 )
-#: The rules about reactions, and with them so many others that need neither the ledger nor previous records of a node
-#: that each of two processes has half of the work (:mod:`.sharing`).
 OF_REACTIONS = frozenset(rule for rule in RULES if rule.of_reactions)
-WITHOUT_LEDGER = OF_REACTIONS.union(rules_vardis.RULES)
+#: Rules about single beacons: they need neither the ledger nor the news of a beacon.
+_OF_BEACONS = frozenset((*rules_data.RULES, *rules_bp.RULES, *rules_srp.RULES, *rules_vardis.RULES))
 _STIMULUS: Final = "none: the recording is judged unchanged"
 #: Minimum number of beacons in the recording for the verdict pass.
 LEAST_BEACONS: Final = 30
@@ -71,6 +70,8 @@ LEAST_BEACONS: Final = 30
 _SOME, _TRIALS = 0.02, 20
 #: The command that shows a finding covers its frames whose numbers differ from the last one by less than this.
 _NEAR = 10
+Needs = Literal["ledger", "news", "beacons"]
+"""What rules need beside the beacon: the states of all variables, or the news in the beacon only, or nothing."""
 #: Number of frames that are kept as evidence for later findings; older frames are cited by number only.
 _KEPT = 20_000
 
@@ -114,6 +115,19 @@ class RecorderClock:
         return recorded + self._shift
 
 
+class Task(NamedTuple):
+    """The part of one process in the judgement of a recording (:mod:`.sharing`)."""
+
+    rules: frozenset[type[Invariant]]
+    needs: Needs = "ledger"
+
+
+def tasks(processes: int) -> list[Task]:
+    """Divide the rules among one to three processes that take about the same time; the first one keeps the ledger."""
+    others = [Task(OF_REACTIONS, "news"), Task(_OF_BEACONS, "beacons")][: processes - 1]
+    return [Task(frozenset(RULES).difference(*[each.rules for each in others])), *others]
+
+
 class Share(NamedTuple):
     """The results of some rules: by the identifier of the rule, the frames that they cite, by number, and the links."""
 
@@ -136,8 +150,7 @@ class Judge:
         period_known: bool = True,
         enough: int | None = None,
         topology: Topology | None = None,
-        applied: Collection[type[Invariant]] = RULES,
-        with_ledger: bool = True,
+        task: Task | None = None,
     ) -> None:
         """Prepare the rules for the profile of ``codec``.
 
@@ -145,8 +158,7 @@ class Judge:
         ``command``: the command line in the result. ``period_known``: False if the beacon period in ``pics`` was
         measured in this recording, which therefore cannot break it. ``enough``: minimum number of occasions and of
         beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``. ``topology``: the links
-        that the user tells; None: they are inferred. ``applied``: the rules that are applied; another process may
-        apply the others (:mod:`.sharing`). ``with_ledger``: False: keep no ledger (only for ``WITHOUT_LEDGER``).
+        that the user tells; None: they are inferred. ``task``: the rules to apply; None for all of them.
         """
         self._codec = codec
         self._pics = pics
@@ -160,10 +172,11 @@ class Judge:
         self._topology = topology
         if topology is not None:
             self._context.hears = topology.hears
-        if not with_ledger:
-            self._context.numbers = Numbers(MOST_VARIABLES)
+        task = task or Task(frozenset(RULES))
+        if task.needs != "ledger":
+            self._context.keeper = Numbers(MOST_VARIABLES) if task.needs == "news" else None
         self._rules = [rule(self._context) for rule in RULES]
-        self._active = [rule for rule in self._rules if not rule.applies() and type(rule) in applied]
+        self._active = [rule for rule in self._rules if not rule.applies() and type(rule) in task.rules]
         # Rules without a method of their own wait for the end.
         self._feeds = [rule.feed for rule in self._active if type(rule).feed is not Invariant.feed]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()

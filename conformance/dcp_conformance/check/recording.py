@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import statistics
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -29,8 +29,7 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
-from .base import Invariant
-from .judge import OF_REACTIONS, RULES, WITHOUT_LEDGER, Judge
+from .judge import OF_REACTIONS, Judge, Task, tasks
 from .sharing import Helper, processes
 from .tables import write_tables
 from .topology import Topology
@@ -86,8 +85,8 @@ def judge_versions(
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
     cannot be read of the file; the notes of the results have it, too. ``topology``: the links that the user tells.
-    ``tables``: a folder for the tables of the ledger. ``jobs``: number of processes, 1 or 2; None: 2 for a long file if
-    there are two processors.
+    ``tables``: a folder for the tables of the ledger. ``jobs``: number of processes, 1 to 3; None: as many for a long
+    file as there are processors.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
@@ -130,11 +129,11 @@ def judges_of(
     # File names are octets: make them valid Unicode, so that the report can be written.
     name = path.name.encode("utf-8", "backslashreplace").decode()
 
-    def judges_for(applied: Collection[type[Invariant]], *, with_ledger: bool = True) -> list[Judge]:
+    def judges_for(task: Task) -> list[Judge]:
         return [
             Judge(
                 codec, each, recording=name, path=str(path), command=command, period_known=period_known,
-                topology=topology, applied=applied, with_ledger=with_ledger,
+                topology=topology, task=task,
             )
             for codec, each in zip(codecs, periods, strict=True)
         ]  # fmt: skip
@@ -144,12 +143,11 @@ def judges_of(
             return judges[0].feed
         return lambda frame: judges[versions.of(frame)].feed(frame)
 
-    shared = all_rules and processes(path, jobs) > 1
-    mine = frozenset(RULES) - WITHOUT_LEDGER if shared else RULES if all_rules else OF_REACTIONS
+    mine, *others = tasks(processes(path, jobs)) if all_rules else [Task(OF_REACTIONS)]
     judges = judges_for(mine)
     with contextlib.ExitStack() as stack:
-        if shared:
-            helper = Helper(path, judges_for(WITHOUT_LEDGER, with_ledger=False), feeder)
+        helpers = [Helper(path, judges_for(each), feeder) for each in others]
+        for helper in helpers:
             stack.callback(helper.end)
         try:
             with open_capture(path) as reader:
@@ -159,8 +157,9 @@ def judges_of(
                         feed(frame)
                         advance()
                 notes = [problem.message for problem in reader.problems]
-            for judge, share in zip(judges, helper.shares(), strict=True) if shared else ():
-                judge.adopt(share)
+            for helper in helpers:
+                for judge, share in zip(judges, helper.shares(), strict=True):
+                    judge.adopt(share)
         except (CaptureError, WorkerLostError) as error:
             raise UsageError(f"{path}: {error}" if isinstance(error, WorkerLostError) else str(error)) from None
     if not any(judge.frames for judge in judges):

@@ -1,7 +1,7 @@
-"""Judge a long recording in two processes: one keeps the ledger and makes the result, the other one does without it.
+"""Judge a long recording in up to three processes: one keeps the ledger and makes the result, the others help it.
 
-Both read the file and decode it. The process without a ledger applies the rules about reactions, and some that judge
-single beacons. It sends the results of its rules, and the links between nodes.
+All of them read the file and decode it. One helper applies the rules about reactions, and a second one those about
+single beacons. Helpers send the results of their rules, and the links between nodes.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from .judge import Judge, Share
 Feeder = Callable[[Sequence[Judge]], Callable[[Frame], None]]
 """Given the judges, returns the function that passes a frame to the judge of its version."""
 
-#: Size of a file in octets from which a second process saves time.
-_LONG = 2_000_000
+#: Size of a file in octets from which more processes save time, and their maximum number.
+_LONG, _MOST = 2_000_000, 3
 
 
 def processes(path: Path, jobs: int | None) -> int:
-    """Return the number of processes for a recording: 1 or 2. ``jobs``: the number that the user wants."""
+    """Return the number of processes for a recording, 1 to 3. ``jobs``: the number that the user wants."""
     if not path.is_file():
         # The file cannot be read twice.
         return 1
     if jobs is not None:
-        return min(jobs, 2)
-    return 2 if len(os.sched_getaffinity(0)) > 1 and path.stat().st_size >= _LONG else 1
+        return min(jobs, _MOST)
+    return min(len(os.sched_getaffinity(0)), _MOST) if path.stat().st_size >= _LONG else 1
 
 
 class Helper:

@@ -48,9 +48,9 @@ if TYPE_CHECKING:
 @click.option(
     "--jobs",
     "-j",
-    type=click.IntRange(1, 2),
-    metavar="1|2",
-    help="Number of processes for each recording.  [default: 2 for a long one, if there are two processors]",
+    type=click.IntRange(1, 3),
+    metavar="1|2|3",
+    help="Number of processes for each recording.  [default: for a long one, as many as there are processors]",
 )
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Show only findings and damage of the files.")

@@ -1,4 +1,4 @@
-"""A second process that applies a part of the rules changes no result."""
+"""Processes that apply parts of the rules change no result."""
 
 from __future__ import annotations
 
@@ -31,25 +31,27 @@ def results(path: Path, jobs: int, links: str = "") -> list[RunResult]:
     return [msgspec.structs.replace(run, started="", duration=0.0) for run, _ in runs]
 
 
+@pytest.mark.parametrize("jobs", [2, 3])
 @pytest.mark.parametrize(("name", "links"), [("b_crud", ""), ("c_latejoin", "00:01-00:02-00:03")])
-def test_two_processes_have_the_same_results_as_one(name: str, links: str):
+def test_several_processes_have_the_same_results_as_one(name: str, links: str, jobs: int):
     path = CAPTURES / f"{name}.mcap"
-    (one,), (two,) = results(path, 1, links), results(path, 2, links)
-    assert one == two
-    # Both shares have findings, with the frames that they cite.
-    found = {case.id: case for case in two.cases if case.verdict is Verdict.FAIL}
+    (one,), (several,) = results(path, 1, links), results(path, jobs, links)
+    assert one == several
+    # The shares have findings, with the frames that they cite.
+    found = {case.id: case for case in several.cases if case.verdict is Verdict.FAIL}
     assert found["CK_DATA_ORDER"].evidence
     assert any("TAKES" in each or "ANSWER" in each for each in found)
 
 
-def test_two_processes_judge_two_versions(tmp_path: Path):
+@pytest.mark.parametrize("jobs", [2, 3])
+def test_several_processes_judge_two_versions(tmp_path: Path, jobs: int):
     new, old = frames_of("a_bus3", 60), frames_of("a_bus3_v1.3.6", 60)
     step = new[0].time_ns - old[0].time_ns
     both = [*new, *(moved(frame, frame.time_ns + step) for frame in old)]
     path = recorded(tmp_path / "both.pcap", sorted(both, key=lambda frame: frame.time_ns))
-    one, two = results(path, 1), results(path, 2)
+    one, several = results(path, 1), results(path, jobs)
     assert len(one) == 2
-    assert one == two
+    assert one == several
 
 
 def test_a_process_that_is_killed_is_reported(monkeypatch: pytest.MonkeyPatch):
@@ -67,11 +69,11 @@ def test_damage_is_reported_once(tmp_path: Path):
     with open_capture(path) as reader:
         list(reader)
         (damage,) = [problem.message for problem in reader.problems]
-    for jobs in (1, 2):
+    for jobs in (1, 2, 3):
         (run,) = results(path, jobs)
         assert run.notes.count(damage) == 1
     path.write_bytes(b"\xa1\xb2\xc3\xd4")
-    for jobs in (1, 2):
+    for jobs in (1, 2, 3):
         with pytest.raises((UsageError, CaptureError)):
             results(path, jobs)
 
@@ -81,7 +83,7 @@ def test_without_a_ledger_the_news_are_the_same(name: str):
     """Every eleventh beacon is missing, so that earlier numbers do not count."""
     codec = Codec("cpp-2.0")
     with_ledger, without = Context(codec, Pics()), Context(codec, Pics())
-    without.numbers = Numbers(MOST_VARIABLES)
+    without.keeper = Numbers(MOST_VARIABLES)
     repeated = 0
     for frame in (each for each in frames_of(name, 400) if each.number % 11):
         of = []
