@@ -8,6 +8,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
+from dcp_codec.values import VarSpec
 from dcp_selftest.mutants.cells import Cells
 from dcp_selftest.mutants.entries import drop, on_entry
 from dcp_selftest.mutants.family import after, around, assign, attributes, instead
@@ -15,6 +16,7 @@ from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.vardis.confirms import Confirm, DescribeVariableConfirm, NoResponseError, ReadConfirm
 from dcp_stack.vardis.core import Sequence
+from dcp_stack.vardis.database import DBEntry
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.state_table import Action, Cell, Event, State
 
@@ -157,8 +159,10 @@ class ReadsFirst(Vardis):
         return self._first.setdefault((var_id, entry.spec.creation_time), confirm)
 
 
-around(Vardis, Vardis.read)("no-stamp", "VD-REA-04 VD-DB-03", "returns the value without a time stamp",
-    lambda self, proceed, var_id: msgspec.structs.replace(proceed(var_id), t_stamp=None))  # fmt: skip
+around(Vardis, Vardis.read)("no-stamp", "VD-REA-04 VD-DB-03", "returns the value with a time stamp of zero",
+    lambda self, proceed, var_id: (
+        answer if (answer := proceed(var_id)).t_stamp is None
+        else msgspec.structs.replace(answer, t_stamp=0)))  # fmt: skip
 
 
 # -- descriptions ------------------------------------------------------------------------------------------------------
@@ -174,8 +178,10 @@ after_describe_database("own-only", "VD-DDB-02", "describes only its own variabl
         msgspec.structs.replace(confirm, variables=tuple(each for each in confirm.variables
         if each.spec.prod_id == self.own_node_identifier))))
 after_describe_variable = after(Vardis, Vardis.describe_variable)
-after_describe_variable("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist",
-    lambda self, confirm, var_id: DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm)
+after_describe_variable("unknown-ok", "VD-DVA-02", "describes an empty variable if the variable does not exist",
+    lambda self, confirm, var_id: (
+        DescribeVariableConfirm(OK, DBEntry(VarSpec(var_id, self._core.own_id, 1, b"", 0, 0), b"", 0, 0, 0))
+        if confirm.status is DOES_NOT_EXIST else confirm))
 after_describe_variable("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable",
     lambda self, confirm, var_id: (
         DescribeVariableConfirm(IS_DELETED) if confirm.entry is not None and confirm.entry.is_deleted else confirm))
