@@ -89,7 +89,7 @@ def _offsets(bench: Bench) -> dict[str, int]:
 )
 def timeout(bench: Bench) -> None:
     length, since = bench.sut.bound(TIMEOUT) * MS, dict[bytes, int]()
-    peers = [bench.peer() for _ in range(6)]
+    peers, begun = [bench.peer() for _ in range(6)], bench.now()
     for half in (peers[:3], peers[3:]):
         if since:
             # If the table is traversed too rarely, either half is removed too late, whenever the traversals are.
