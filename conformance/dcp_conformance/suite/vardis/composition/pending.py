@@ -114,8 +114,8 @@ def create_request_dropped(bench: Bench) -> None:
     "A deletion cancels all pending records of its variable",
     requirements="VD-PD-04",
     stimulus=(
-        "requests for a variable and a newer summary of it, and immediately after them in another beacon its "
-        "VarDelete; up to three times"
+        "requests for a variable and a newer summary of it, and immediately after them its VarDelete, each in a "
+        "beacon; up to three times"
     ),
     expect="no record other than the VarDelete in at least one attempt",
     window=8,
@@ -129,8 +129,9 @@ def pending_dropped(bench: Bench) -> None:
         if several:
             settled(bench, var_id)
         since = bench.mark()
-        peer.send(peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4))
-        peer.send(peer.delete(var_id))
+        asked = peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4)
+        for record in (*asked, peer.delete(var_id)):
+            peer.send(record)
         bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded")
         bench.beacons(1, 1.5)
         return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))

@@ -242,7 +242,8 @@ def request_cancelled(bench: Bench) -> None:
     name, timeout_ms = bench.var_id(), lasting(bench, 800, 5)
     begun = learn(bench, peer, name, timeout_ms).after
     since = bench.mark()
-    peer.send(*requests, peer.summary(name, 1))
+    peer.send(*requests)
+    peer.send(peer.summary(name, 1))
     until = begun + latest(bench, timeout_ms)
     while bench.now() < until:
         # After each beacon, so that a late request finds repetitions left of the one before.

@@ -261,8 +261,9 @@ def unknown_not_summarised(bench: Bench) -> None:
     _know(bench, 1)
     peer, names = bench.peer(), bench.identifiers.unknown_ids(4)
     mark = bench.mark()
-    peer.send(peer.summary(names[0], 1), peer.request_update(names[1], 2), peer.request_create(names[2]))
-    peer.send(peer.delete(names[3]))
+    unknown = peer.summary(names[0], 1), peer.request_update(names[1], 2), peer.request_create(names[2])
+    for record in (*unknown, peer.delete(names[3])):
+        peer.send(record)
     bench.require_alive("records about unknown variables")
     bench.beacons(3)
     found = [each for each in bench.instructions(_SUMMARY, since=mark) if each.var_id in names]

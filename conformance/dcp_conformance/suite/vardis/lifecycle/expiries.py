@@ -49,10 +49,11 @@ _CROWD, _OWNED, _OTHERS = 60, 20, 10
     "Each kind of variable is deleted after its own timeout ({variant})",
     requirements="VD-SCR-01 VD-SCR-03 VD-SCR-05",
     stimulus=(
-        f"a variable with timeout {_LONG} ms ({{variant}}), updated or not after its creation; then no more records"
+        f"a variable with timeout {_LONG} ms ({{variant}}), updated after its creation, or two more a scrubbing "
+        "period apart; then no more records"
     ),
-    expect="the first VarDelete neither before the timeout since the last change, nor later than allowed",
-    window=80,
+    expect="each first VarDelete neither before the timeout since the last change, nor later than allowed",
+    window=110,
     variants={
         "received": Variant((False, ""), needs=_WIRE),
         "received-and-updated": Variant((False, "updated"), requirements="VD-SCR-01 VD-SCR-03 VD-SCR-06", needs=_WIRE),
@@ -68,12 +69,13 @@ _CROWD, _OWNED, _OTHERS = 60, 20, 10
 def kinds(bench: Bench, what: tuple[bool, str]) -> None:
     own, then = what
     timeout_ms, peer = lasting(bench, _LONG), bench.peer()
-    if own:
-        name = bench.identifiers.own_var_id()
-        since = create_own(bench, name, timeout_ms)
-    else:
-        name = bench.var_id()
-        since = learn(bench, peer, name, timeout_ms)
+    changes: dict[int, Change] = {}
+    # If scrubbing is too rare, one of three variables is deleted too late, whenever the traversals are.
+    for _ in range(1 if then else 3):
+        if changes:
+            bench.waiting.wait_ns(scrubbing_period_ms(bench) * MS)
+        name = bench.identifiers.own_var_id() if own else bench.var_id()
+        changes[name] = create_own(bench, name, timeout_ms) if own else learn(bench, peer, name, timeout_ms)
     if then == "rejected":
         bench.waiting.wait_ns(timeout_ms * MS * 3 // 4)
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", "VD-UPD-03", varId=name, value="77")
@@ -82,20 +84,21 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
         before = bench.now()
         if own:
             bench.must("RTDB-Update", varId=name, value="77")
-            since = Change(before, bench.now())
+            changes[name] = Change(before, bench.now())
         else:
-            since = sent(bench, peer, peer.update(name, 1, b"w"))
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None and not own:
-        # A node that deletes only its own variables (X26) does not delete this one later either.
-        found = deleted(bench, name, Change(bench.now(), bench.now()), timeout_ms)
+            changes[name] = sent(bench, peer, peer.update(name, 1, b"w"))
+    for each, since in changes.items():
+        found = deleted(bench, each, since, timeout_ms)
+        if found is None and not own:
+            # A node that deletes only its own variables (X26) does not delete this one later either.
+            found = deleted(bench, each, Change(bench.now(), bench.now()), timeout_ms)
+            if found is None:
+                not_by_consumers(bench, each)
+                return
         if found is None:
-            not_by_consumers(bench, name)
+            bench.some(None, "a VarDelete of the variable", seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
             return
-    if found is None:
-        bench.some(None, "a VarDelete of the variable", seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
-        return
-    check_time(bench, found, since, timeout_ms)
+        check_time(bench, found, since, timeout_ms)
 
 
 @case(

@@ -255,7 +255,8 @@ def entry_of_received(bench: Bench) -> None:
 def one_entry(bench: Bench) -> None:
     peer = bench.peer()
     var_id = teach_variable(bench, peer)
-    peer.send(peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id))
+    for record in (peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id)):
+        peer.send(record)
     bench.require_alive("several records about the variable")
     found = bench.must("RTDB-DescribeDatabase").result.get("variables")
     same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
@@ -317,7 +318,8 @@ def time_stamp(bench: Bench) -> None:
     var_id = teach_variable(bench, peer, seqno=5)
     created = stamp(begun)
     bench.wait(2)
-    peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))
+    for record in (peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5)):
+        peer.send(record)
     bench.require_alive("records that are not accepted")
     bench.answered(stamp(begun), created, "tStamp unchanged by records that are not accepted")
     updated = created
