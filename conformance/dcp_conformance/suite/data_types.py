@@ -148,19 +148,19 @@ def order_of_creation_times(bench: Bench) -> None:
     "TC_DCP_DATA_BV_04",
     "creationTime and timeout of the node's own variables are numbers in the byte order of the profile",
     requirements="DATA-01 DATA-05",
-    stimulus="RTDB-Create with timeout 4660 ms (0x1234)",
+    stimulus="RTDB-Create with timeout 22136 ms (0x5678)",
     expect=(
-        "a VarCreate with timeout 4660 and the current time as creationTime, if the profile's clock has a known epoch"
+        "a VarCreate with timeout 22136 and the current time as creationTime, if the profile's clock has a known epoch"
     ),
     needs=Needs(since=V2_0, ut=(CREATE,)),
 )
 def own_creation_time(bench: Bench) -> None:
     var_id = bench.identifiers.own_var_id()
-    request = timed(bench, CREATE, **create_request(bench, var_id, timeout=0x1234))
+    request = timed(bench, CREATE, **create_request(bench, var_id, timeout=0x5678))
     record = bench.required(
         bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "a VarCreate of the variable", "VD-CRE-12"
     )
-    bench.answered(record.spec.timeout, 0x1234, "timeout", "DATA-01")
+    bench.answered(record.spec.timeout, 0x5678, "timeout", "DATA-01")
     check_time(bench, record.spec.creation_time, request, "creationTime")
 
 

@@ -63,12 +63,12 @@ def test_variables_live_long_enough_to_be_seen_however_rare_beacons_are(period_m
 
 
 @pytest.mark.part("suite")
-@pytest.mark.parametrize("period_ms", [30, 1000])
+@pytest.mark.parametrize("period_ms", [30, 1000, 5000])
 def test_the_suite_is_fair_at_other_beacon_periods(period_ms: int):
     """Some cases mix times in ms and in beacon periods: a wait of one period may be longer than a timeout."""
     found = results([each for each in known_cases() if each != SANITY], period_ms=period_ms)
     assert not not_fine(found)
-    assert sum(result.verdict is Verdict.PASS for result in found.values()) > 1_100
+    assert sum(result.verdict is Verdict.PASS for result in found.values()) > 1_050
 
 
 def test_only_producers_may_scrub():

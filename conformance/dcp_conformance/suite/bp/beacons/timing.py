@@ -117,6 +117,11 @@ def _always(found: Estimate, limit: float) -> bool:
     return min(found.intervals) > limit
 
 
+def overload(bench: Bench) -> str:
+    """Return why the processor may be too busy for an implementation on this machine; empty if it is not."""
+    return bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
+
+
 def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
     """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
 
@@ -132,8 +137,7 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
             f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         )
         bench.inconclusive(expected, observed, *requirements)
-    overload = bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
-    if low > period + tolerance and not _always(found, period + tolerance) and (why := overload):
+    if low > period + tolerance and not _always(found, period + tolerance) and (why := overload(bench)):
         # An implementation on this machine has to wait for the processor in many periods.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:

@@ -222,13 +222,14 @@ def crowd(bench: Bench, count: int) -> None:
 def as_new(bench: Bench, own: bool) -> None:
     shorten_scrubbing(bench)
     peer, count = bench.peer(), bench.sut.rep_cnt(15)
-    timeout_ms, longer_ms = lasting(bench, 200), min(bench.sut.longest_timeout, 30_000)
+    timeout_ms = lasting(bench, 200)
+    longer_ms = min(bench.sut.longest_timeout, max(30_000, 8 * timeout_ms))
     name = bench.identifiers.own_var_id() if own else bench.var_id()
     since = create_own(bench, name, timeout_ms, count) if own else learn(bench, peer, name, timeout_ms, count)
     if deleted(bench, name, since, timeout_ms) is None:
         not_by_consumers(bench, name)
         return
-    start = bench.mark()
+    start, recreated = bench.mark(), bench.now()
     again, descr = bench.sut.rep_cnt(4), bench.records.descr(b"once more")
     if own:
         created_again(bench, name, rep_cnt=again, descr=descr.decode(), timeout=longer_ms)
@@ -239,8 +240,9 @@ def as_new(bench: Bench, own: bool) -> None:
     spec = made.spec
     bench.answered((spec.timeout, spec.rep_cnt, spec.descr), (longer_ms, again, descr), "timeout, repCnt and descr")
     bench.check_repeated(_CREATE, name, again, begun)
-    # Longer than the first timeout.
-    bench.waiting.wait_ns(max(4 * timeout_ms, 1_000) * MS)
+    # Longer than the first timeout, but shorter than the second one.
+    until = recreated + min(max(4 * timeout_ms, 1_000), longer_ms * 3 // 4) * MS
+    bench.waiting.wait_ns(max(0, until - bench.now()))
     bench.none(bench.instructions(_DELETE, name, begun), "no VarDelete after the VarCreate")
     if summarises(bench) is None:
         bench.some(bench.instructions(_SUMMARY, name, begun), "a summary of the variable", "VD-SCR-04")
