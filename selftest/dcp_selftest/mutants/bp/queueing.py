@@ -201,7 +201,7 @@ class Hangs(ClientList):
         return [] if self._hung else chosen
 
 
-@mutant("dies-of-overflow", "BP-TX-04 BP-FMT-02 BP-TXP-09",
+@mutant("dies-of-overflow", "BP-TX-04 BP-FMT-02 BP-TXP-06 BP-TXP-09",
     "crashes when the payloads for a beacon fit into it and their blocks, with headers, do not")  # fmt: skip
 class CrashesOnOverflow(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
