@@ -71,7 +71,7 @@ _SOME, _TRIALS = 0.02, 20
 #: The command that shows a finding covers its frames whose numbers differ from the last one by less than this.
 _NEAR = 10
 Needs = Literal["ledger", "news", "beacons"]
-"""What rules need beside the beacon: the states of all variables, or the news in the beacon only, or nothing."""
+"""The needs of rules beside the beacon: the states of all variables, or the news in the beacon only, or nothing."""
 #: Number of frames that are kept as evidence for later findings; older frames are cited by number only.
 _KEPT = 20_000
 

@@ -118,7 +118,7 @@ def _always(found: Estimate, limit: float) -> bool:
 
 
 def overload(bench: Bench) -> str:
-    """Return why the processor may be too busy for an implementation on this machine; empty if it is not."""
+    """Return why the processor may be too busy for an implementation on this machine; otherwise empty."""
     return bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
 
 
