@@ -32,8 +32,7 @@ def lifetime(
     since = dict.fromkeys((peer.node_id for peer in peers), begun) if isinstance(begun, int) else begun
     latest = timeout + timeout // 5 + round(bench.sut.pixit.timer_tolerance_ms * MS)
     step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
-    if missing := there - set(neighbours(bench)):
-        bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
+    _present(bench, there)
     while there:
         meanwhile()
         before = bench.now()
@@ -54,6 +53,11 @@ def lifetime(
             )
         if there:
             bench.waiting.wait_ns(step)
+
+
+def _present(bench: Bench, node_ids: set[bytes]) -> None:
+    if missing := node_ids - set(neighbours(bench)):
+        bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
 
 
 @contextmanager
@@ -103,6 +107,7 @@ def timeout(bench: Bench) -> None:
             peer.send(bench.records.report(peer.node_id, 1, t_stamp=stamp))
         for peer in half:
             until_neighbour(bench, peer.node_id)
+        _present(bench, {peer.node_id for peer in half})
     lifetime(bench, peers, since, length)
 
 
