@@ -7,7 +7,7 @@ are not values of fields (truncated, additional or reordered octets) are made wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
@@ -43,8 +43,10 @@ class FrameBuilderError(ValueError):
 class FrameBuilder:
     """Builds bearer payloads of a profile."""
 
-    def __init__(self, codec: Codec) -> None:
+    def __init__(self, codec: Codec, *, sized: Callable[[], object] = lambda: None) -> None:
+        """``sized`` is called whenever the size of a record is asked for."""
         self.codec = codec
+        self._sized = sized
         self._numbers = codec.profile.vardis.container_types.by_name()
 
     # -- VarDis ------------------------------------------------------------------------------------------------
@@ -91,6 +93,7 @@ class FrameBuilder:
 
     def record_size(self, record: VardisRecord) -> int:
         """Return the size of a record in its container, in octets."""
+        self._sized()
         return len(self.container(record)) - self.container_header_size
 
     def vardis(self, *containers: bytes | VardisRecord) -> Block:

@@ -19,7 +19,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.plan.tree import Group, Scalar
 
-__all__ = ["REQUIREMENT_OF", "Fault", "explanation"]
+__all__ = ["REQUIREMENT_OF", "Fault", "explanation", "layout_of"]
 
 #: Minimum payload of an Ethernet frame in octets: shorter bearer payloads are received with padding.
 _LEAST_FRAME = 46
@@ -75,7 +75,7 @@ def explanation(octets: bytes, codec: Codec, network_id: int | None, source: byt
     for fault in _faults(codec):
         if fault.missing and fault.field in right:
             continue
-        reader = codec if fault.profile is None else _reader(msgspec.json.encode(fault.profile), fault.profile)
+        reader = codec if fault.profile is None else layout_of(fault.profile)
         points = _explains(fault.mended(octets) if fault.mended else octets, reader, network_id, source)
         if points > most:
             best, most = fault, points
@@ -108,6 +108,11 @@ def _explains(octets: bytes, codec: Codec, network_id: int | None, source: bytes
         except DecodeError:
             points += 1
     return points
+
+
+def layout_of(profile: Profile) -> Codec:
+    """Return the codec of the profile of a fault."""
+    return _reader(msgspec.json.encode(profile), profile)
 
 
 @functools.lru_cache(maxsize=256)

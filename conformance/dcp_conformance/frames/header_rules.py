@@ -21,7 +21,7 @@ from dcp_codec.views.fields import Dissection, Field
 from dcp_codec.views.salvage import Salvaged
 from dcp_conformance.model.broken_rules import broken_by
 
-from .header_faults import REQUIREMENT_OF, explanation
+from .header_faults import REQUIREMENT_OF, explanation, layout_of
 
 __all__ = ["Violation", "judge"]
 
@@ -39,6 +39,8 @@ class Violation(NamedTuple):
     offset: int
     length: int
     path: str = ""
+    resized: bool = False
+    """Whether the fault changes the size of the headers."""
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -74,11 +76,18 @@ def judge(
     if fault is not None:
         field = tree.root.find(f"bp.{fault.field}") or tree.root
         place = (field.offset, field.length, field.path or "bp")
-        return [Violation(each, fault.expected, fault.observed, *place) for each in fault.requirements.split()]
+        resized = fault.profile is not None and _start(layout_of(fault.profile), octets) != _start(codec, octets)
+        return [Violation(each, fault.expected, fault.observed, *place, resized) for each in fault.requirements.split()]
     found = [*_of_the_header(octets, codec, tree, salvaged), *_of_payloads(salvaged)]
     known = {each.path for each in found}
     rest = [_as_violation(each) for each in salvaged.problems if each.path not in known and not _inside(each)]
     return [*found, *rest] or [_as_violation(salvaged.problems[0])]
+
+
+def _start(codec: Codec, octets: bytes) -> int | None:
+    """Return the position of the first payload block in a layout."""
+    payloads = codec.dissect(octets).root.child("payloads")
+    return None if payloads is None else payloads.offset
 
 
 def _inside(problem: Problem) -> bool:

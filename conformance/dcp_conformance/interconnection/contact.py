@@ -120,6 +120,17 @@ class Contact:
             return f"{heard} none of {no}" if no else ""
         return f"it answers {yes}" + (f", but not {no}" if no else "")
 
+    @property
+    def own_records(self) -> str:
+        """A text if its own records of VarDis have another layout; empty if not."""
+        found = next((each for each, _ in self.violations if ".vardis" in each.path), None)
+        return "" if found is None else f"its own records of VarDis are laid out otherwise: {found}"
+
+    def resized(self, failure: Failure) -> str:
+        """Return a text if the implementation's headers have another size; empty if not, or for a failure about it."""
+        found = (each for each, _ in self.violations if each.resized and each.requirement not in failure.requirements)
+        return next((f"its headers have another size: {each}" for each in found), "")
+
     def excuse(self, failure: Failure) -> str:
         """Return why something missing in a case does not count; empty if it counts."""
         if self.good or failure.requirements <= self.blamed:
@@ -162,7 +173,11 @@ def stimuli(
             yield "report", None
         if payload.data is not None:
             yield "payload", None
-        for record in records(payload):
+        found = [*records(payload)]
+        if payload.srp is None and payload.data is None and not found:
+            # A payload of other content for one of the known protocols.
+            yield "payload", None
+        for record in found:
             if (kind := record.IC_TYPE) is None:
                 continue
             var_id = var_id_of(record)

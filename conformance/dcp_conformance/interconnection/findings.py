@@ -49,7 +49,12 @@ class Findings(Known):
 
     def cause(self, failure: Failure) -> Cause | None:
         """Return the finding that a failed check follows from; None if the failure counts."""
-        if text := layouts.cause(self.misread, failure):
+        misread = dict(self.misread)
+        if self.contact is not None and self.contact.own_records:
+            misread.setdefault("VarDis", self.contact.own_records)
+        if text := layouts.cause(misread, failure):
+            return Cause(f"this follows from another fault: {text}", certain=True)
+        if "size" in failure.relied and self.contact is not None and (text := self.contact.resized(failure)):
             return Cause(f"this follows from another fault: {text}", certain=True)
         if failure.shown:
             return None

@@ -16,6 +16,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Failure, Misread
 from dcp_conformance.test_system.traffic import payloads, records
@@ -25,10 +26,11 @@ OWNERS: Final = frozenset(
 )
 """The requirements about layouts: a misread field never excuses their failures."""
 _CREATION_OWNERS: Final = frozenset({"VD-PC-07", "VD-PC-09", "VD-CMP-06"})
-"""The requirements to forward a VarCreate: a misread VarCreate never excuses their failures."""
+"""The requirements to forward a VarCreate: a misread VarCreate never excuses a check about them alone."""
 _DAY: Final = 86_400 * 10**9
 _TABLE: Final = "SRP-NeighbourTable"
 _UPDATE: Final = "SRP-UpdateSafetyData"
+_CREATE: Final = "RTDB-Create"
 #: Number of attempts, because frames may be lost.
 _ATTEMPTS: Final = 2
 
@@ -39,9 +41,12 @@ def misread_fields(bench: Bench) -> dict[Misread, str]:
     Takes about six beacon periods and deletes its variables. Raises ``LowerTesterError``.
     """
     found: dict[Misread, str] = {}
-    if not _accepts_creations(bench):
+    forwarded, asked = _accepts_creations(bench)
+    if not forwarded and (text := _own_records(bench)):
+        found["VarDis"] = text
+    elif not forwarded and asked:
         found["VarCreate"] = "it forwarded no VarCreate at the start of the run (VD-PC-09)"
-    elif text := _creation_times(bench):
+    elif forwarded and (text := _creation_times(bench)):
         found["creationTime"] = text
     # The next case that needs the upper tester reports an error of it.
     with suppress(UpperTesterError):
@@ -50,14 +55,14 @@ def misread_fields(bench: Bench) -> dict[Misread, str]:
     return found
 
 
-def _accepts_creations(bench: Bench) -> bool:
-    """Return whether VarCreates are forwarded (VD-PC-09): with another layout of VarSpecT none is accepted.
+def _accepts_creations(bench: Bench) -> tuple[bool, bool]:
+    """Return whether VarCreates are forwarded (VD-PC-09), and whether the variable is requested after a summary of it.
 
-    Such an implementation requests the variable after a summary of it. An implementation that does not even request it
-    has another fault than the layout, which excuses nothing.
+    With another layout of VarSpecT no VarCreate is accepted. An implementation that does not even request the variable
+    has another fault than this layout.
     """
     if not bench.identifiers.has_unknown_ids():
-        return True
+        return True, False
     asked = False
     for _ in range(_ATTEMPTS):
         peer = bench.peer()
@@ -67,10 +72,24 @@ def _accepts_creations(bench: Bench) -> bool:
             peer.send(peer.delete(create.spec.var_id))
             # The VarDelete has one repetition, so no wait for further ones is needed.
             bench.until_instruction(ICType.DELETE_VARIABLES, create.spec.var_id)
-            return True
+            return True, False
         peer.send(peer.summary(create.spec.var_id, 0))
         asked |= bench.until_instruction(ICType.REQUEST_VARCREATES, create.spec.var_id) is not None
-    return not asked
+    return False, asked
+
+
+def _own_records(bench: Bench) -> str:
+    """Describe a fault in the layout of the implementation's own VarCreate; empty if it has none, or none came."""
+    upper = bench.session.upper
+    if upper is None or _CREATE not in upper.methods or not bench.identifiers.has_unknown_ids():
+        return ""
+    with suppress(UpperTesterError):
+        var_id = bench.identifiers.own_var_id()
+        if bench.call(_CREATE, **create_request(bench, var_id, timeout=60_000)).ok:
+            bad = bench.until(lambda heard: heard.vardis_problems)
+            bench.call("RTDB-Delete", varId=var_id)
+            return f"its own records of VarDis are laid out otherwise: {bad[0]}" if bad else ""
+    return ""
 
 
 # -- creation times ----------------------------------------------------------------------------------------------------
@@ -154,6 +173,11 @@ def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
     for each in failure.relied:
         if each in misread:
             return misread[each]
+    if "size" in failure.relied and "VarCreate" in misread:
+        return misread["VarCreate"]
+    if "VarDis" in misread and not failure.requirements <= _CREATION_OWNERS:
+        foreign = any(not each.startswith("VD-") for each in failure.requirements)
+        return "" if foreign or any(each.startswith("VD-IC-") for each in failure.requirements) else misread["VarDis"]
     if "creationTime" in failure.relied and _backwards(failure):
         return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
     if "creationTime" in misread and _disordered(failure):
@@ -162,7 +186,7 @@ def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
         return ""
     sent = list(payloads(failure.codec, failure.events))
     created = any(isinstance(record, VarCreate) for payload in sent for record in records(payload))
-    if "VarCreate" in misread and created and not _CREATION_OWNERS & failure.requirements:
+    if "VarCreate" in misread and created and not failure.requirements <= _CREATION_OWNERS:
         return misread["VarCreate"]
     return misread["report"] if "report" in misread and any(each.srp is not None for each in sent) else ""
 

@@ -5,10 +5,13 @@ Only the first of several counterexamples with the same observation is made shor
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 
+from dcp_conformance.oracle.judgement import Finding
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.judgement.matchers import swapped
 from dcp_conformance.test_system.known import UNREADABLE
 from dcp_conformance.test_system.sut_properties import Capacity
 
@@ -64,10 +67,23 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
         bench.session.counterexamples.add(cause)
         found = shorter(partial(execute, bench, alone=alone), found, attempts=ATTEMPTS)
         finding = found.finding
+    bench.excuses.relies_on("size")
     if finding.about == "creationTime":
         bench.excuses.relies_on("creationTime")
+    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    if any(isinstance(each, Records) for each in blocks):
+        bench.excuses.relies_on("VarCreate")
+    if any(isinstance(each, Report) for each in blocks):
+        bench.excuses.relies_on("report")
     shown = "\n".join(table(found.rows))
-    bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
+    violated = ("DATA-01",) if _swapped(finding) else finding.requirements
+    bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *violated)
+
+
+def _swapped(finding: Finding) -> bool:
+    """Return whether a number of the expectation has been observed with its octets in the other order."""
+    right, seen = (set(map(int, re.findall(r"\b\d+\b", text))) for text in (finding.expected, finding.observed))
+    return any(swapped(one, other) for one in seen - right for other in right - seen)
 
 
 def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:

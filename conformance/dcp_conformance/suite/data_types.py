@@ -229,6 +229,9 @@ def packed(bench: Bench) -> None:
         reports = bench.profile.srp.safety_data and bench.sut.pics.srp is not False
         if upper is not None and "SRP-UpdateSafetyData" in upper.methods and reports:
             bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
+        if upper is not None and CREATE in upper.methods and bench.sut.pics.vardis is not False:
+            # Its VarCreate has all fields of the implementation's own making.
+            bench.call(CREATE, **create_request(bench, bench.identifiers.own_var_id(), timeout=60_000))
         peer = bench.peer()
         for length in (1, 3) if bench.sut.pics.vardis is not False else ():
             var_id = bench.var_id()

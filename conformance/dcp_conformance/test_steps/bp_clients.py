@@ -116,6 +116,7 @@ def block_header_octets(bench: Bench) -> int:
 
 
 def _place(bench: Bench, path: str) -> int:
+    bench.excuses.relies_on("size")
     peer_id = bench.peers.made[0].node_id if bench.peers.made else bench.identifiers.node_id()
     octets = bench.builder.beacon(peer_id, 0, [Block(unused_protocol_id(bench), b"x")])
     field = bench.codec.dissect(octets).root.find(path)

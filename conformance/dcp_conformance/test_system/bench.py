@@ -7,6 +7,8 @@ are *checks*; a failed check stops the case (``require``) or not (``check``).
 
 from __future__ import annotations
 
+from functools import partial
+
 from dcp_spec.constants import Features
 from dcp_spec.profile.definition import Profile
 
@@ -67,7 +69,7 @@ class Bench:
         self.matchers = matchers = Matchers(self.verdicts)
         self.identifiers = Identifiers(session, lower, self.sut, self.verdicts, created)
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
-        self.builder = FrameBuilder(codec)
+        self.builder = FrameBuilder(codec, sized=partial(self.excuses.relies_on, "size"))
         self.transmission = Transmission(lower, traffic, self.steps, self.losses, self.sut)
         self.peers = Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers)
         self.receiver = Receiver(session, case.id, lower, traffic, self.steps, self.identifiers, self.heard)

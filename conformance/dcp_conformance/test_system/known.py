@@ -17,8 +17,9 @@ UNREADABLE: Final = "judged by the rules for every beacon"
 
 Question = Literal["summary", "create", "request"]
 """Kinds of stimulus that VarDis must answer with a beacon."""
-Misread = Literal["creationTime", "report", "VarCreate"]
-"""Something that can be misread: the creationTime of a VarSpecT, or a whole state report or VarCreate."""
+Misread = Literal["creationTime", "report", "VarCreate", "VarDis", "size"]
+"""Something that can be misread: the creationTime of a VarSpecT; a whole state report or VarCreate; all payloads of
+VarDis, because its own records have another layout; the size of headers or records."""
 
 
 class Reaction(NamedTuple):

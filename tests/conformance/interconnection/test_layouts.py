@@ -67,6 +67,41 @@ def test_swapped_protocol_identifiers_are_reported_without_their_consequences() 
     assert failed["DATA-01"]
 
 
+@pytest.mark.part("suite")
+def test_limits_of_sizes_follow_from_headers_of_another_size() -> None:
+    _, failed, _ = outcome_of(
+        other(bp_seqno={"width": 2}), cases=("TC_BP_LIFE", "TC_BP_PAR", "TC_BP_REG", "TC_BP_RXP", "TC_VD_PAR")
+    )
+    assert failed.keys() == {"BP-HDR-08"}
+
+
+@pytest.mark.part("suite")
+@pytest.mark.parametrize(
+    ("changes", "owners"),
+    [
+        ({"var_timeout": {"width": 4}}, {"VD-PC-07", "VD-PC-09", "DATA-06", "DATA-07", "DATA-08"}),
+        # None of its payloads is readable, for which the sanity case fails.
+        ({"var_seqno": {"width": 2}}, {"VD-IC-01", "VD-IC-02", "VD-IC-03", "VD-TYP-05"}),
+    ],
+)
+def test_records_of_another_layout_are_reported_without_their_consequences(
+    changes: dict[str, Any], owners: set[str]
+) -> None:
+    cases = ("TC_DCP_", "TC_NET_JOIN", "TC_VD_CRE", "TC_VD_ID", "TC_VD_PAR", "TC_VD_RX", "TC_VD_SPLIT", "TC_VD_STATE")
+    _, failed, reasons = outcome_of(other(**changes), cases=cases)
+    assert failed
+    assert failed.keys() <= owners
+    assert any("this follows from another fault: its own records of VarDis are laid out" in each for each in reasons)
+
+
+@pytest.mark.parametrize("field", ["srp_seqno", "var_timeout"])
+def test_a_value_with_swapped_octets_violates_the_byte_order(field: str) -> None:
+    _, failed, _ = outcome_of(
+        other(**{field: {"byte_order": "little"}}), cases=("TC_DCP_DATA_BV_04", "TC_SRP_RX_BV_0", "TC_VD_DVA_BV_02")
+    )
+    assert failed.keys() - {"SRP-RX-03"} == {"DATA-01"}
+
+
 def test_misread_creations_are_reported_once() -> None:
     runner, failed, _ = outcome_of(
         other(var_timeout={"width": 4}), cases=("TC_VD_CRT", "TC_VD_LEN", "TC_VD_ROB", "TC_NET_HOP", "TC_VD_FWD")

@@ -175,11 +175,11 @@ class Shown(Statements):
         stop: bool = False,
     ) -> bool:
         """Check a value in an answer or in a frame that was received: any difference is shown, also its absence."""
-        expected = f"{what}: {content(right)}"
-        seen = content(observed)
+        seen, names = _told(observed, right, requirements)
         return self._check(
-            observed == right, expected, seen, requirements, frames=frames, shown=True, field=field, stop=stop
-        )
+            observed == right, f"{what}: {content(right)}", seen, names, frames=frames, shown=True, field=field,
+            stop=stop,
+        )  # fmt: skip
 
     def fields(self, answer: Mapping[str, object], /, *requirements: str, **right: object) -> bool:
         """As :meth:`answered` for several fields of an answer, in one check each."""
@@ -227,9 +227,9 @@ class Matchers(Missing, Shown):
     ) -> bool:
         """Check a value that may not have been received (None): then it is missing; another value is shown."""
         shown = observed is not None and given
-        seen = NOTHING if observed is None else content(observed)
+        seen, names = (NOTHING, requirements) if observed is None else _told(observed, right, requirements)
         return self._check(
-            observed == right, f"{what}: {content(right)}", seen, requirements, frames=frames, shown=shown, stop=stop
+            observed == right, f"{what}: {content(right)}", seen, names, frames=frames, shown=shown, stop=stop
         )
 
     def only(
@@ -347,6 +347,35 @@ class Matchers(Missing, Shown):
     def passed(self, expected: str, /, *requirements: str, frames: Iterable[Evidence] = ()) -> None:
         """Record a statement that has already been established."""
         self._check(True, expected, "", requirements, frames=frames)
+
+
+def _told(observed: object, right: object, requirements: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Describe an observation; return the requirements that it violates if it is not ``right``.
+
+    A number whose octets are swapped violates DATA-01, whatever the case is about.
+    """
+    if observed != right and swapped(observed, right):
+        return f"{content(observed)}, a number with its octets swapped", ("DATA-01",)
+    return content(observed), requirements
+
+
+def swapped(observed: object, right: object) -> bool:
+    """Return whether two values are equal, except numbers of 2, 4 or 8 octets whose octets are in the other order.
+
+    A single octet must have moved by three octets at least: by one octet it may be another fault of counting.
+    """
+    if observed == right:
+        return True
+    if isinstance(observed, int) and isinstance(right, int):
+        widths = (2, 4, 8) if min(observed, right) > 0xFF else (4, 8)
+        return any(
+            min(observed, right) >= 0 and max(observed, right) < 1 << 8 * width
+            and right.to_bytes(width, "big") == observed.to_bytes(width, "little")
+            for width in widths
+        )  # fmt: skip
+    if isinstance(observed, tuple | list) and isinstance(right, tuple | list):
+        return len(observed) == len(right) and all(map(swapped, observed, right))
+    return False
 
 
 def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:

@@ -26,6 +26,7 @@ def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, came: object, *
 
 
 def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, ...], *requirements: str) -> None:
+    bench.excuses.relies_on("VarCreate")
     found = traces(bench, var_id, since, kinds)
     # An implementation that lost a container has a reason to send a request.
     bench.none(found, f"no request for variable {var_id}", *requirements, given=not bench.session.known.lost_container)

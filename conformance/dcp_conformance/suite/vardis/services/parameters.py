@@ -13,8 +13,8 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 from dcp_spec.parameters import parameters
 
-from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     ILLEGAL_REPCOUNT,
@@ -115,7 +115,7 @@ def _bare_create(bench: Bench) -> int:
     """Return the size in octets of a container with a VarCreate without description and value, up to their length
     fields, and without the octets of added blocks, of which samples have one each.
     """
-    bare = len(bench.builder.container(bench.records.sample(descr=b"", value=b"")))
+    bare = bench.builder.container_header_size + bench.builder.record_size(bench.records.sample(descr=b"", value=b""))
     blocks = sum(each.block is not None for each in bench.profile.own_fields().get("VarSpec", ()))
     return bare - (1 if bench.profile.types.string.terminated else 0) - blocks
 
@@ -264,7 +264,7 @@ def payload_size(bench: Bench) -> None:
     with _kept(bench, _PAYLOAD):
         _check_refused(bench, _PAYLOAD, 0)
         if bench.profile.spec_version >= SpecVersion.V1_1:
-            headers = len(bench.peer().beacon(Block(2, b"")))
+            headers = header_octets(bench) + block_header_octets(bench)
             bound = bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - headers
             _check_taken(bench, _PAYLOAD, bound)
             _check_refused(bench, _PAYLOAD, bound + 1)
@@ -280,8 +280,7 @@ def payload_size(bench: Bench) -> None:
 )
 def summaries(bench: Bench) -> None:
     peer = bench.peer()
-    one, two = (len(bench.builder.container(*[peer.summary(0, 0)] * count)) for count in (1, 2))
-    bound = (bench.sut.parameter(_PAYLOAD) - _ic_header(bench)) // (two - one)
+    bound = (bench.sut.parameter(_PAYLOAD) - _ic_header(bench)) // bench.builder.record_size(peer.summary(0, 0))
     with _kept(bench, _SUMMARIES):
         _check_taken(bench, _SUMMARIES, 0)
         _check_refused(bench, _SUMMARIES, -1)
