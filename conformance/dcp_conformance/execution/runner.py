@@ -156,9 +156,12 @@ class Runner:
         node_id = upper.about.get("nodeId")
         if session.sut_id is None and isinstance(node_id, str):
             try:
-                session.sut_id = node_id_octets(node_id)
+                told = node_id_octets(node_id)
             except ValueError as error:
                 raise UpperTesterError(f"{upper.name}: the nodeId of UT-Hello: {error}") from None
+            # An identifier of another size fits into no field of the profile; the sanity case judges its beacons.
+            if session.codec.profile.types.node_id.width in (0, len(told)):
+                session.sut_id = told
         if "UT-Status" in upper.methods:
             # UT-Reset may set its counters to zero.
             with suppress(UpperTesterError):

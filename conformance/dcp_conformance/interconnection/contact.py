@@ -127,7 +127,12 @@ class Contact:
         return "" if found is None else f"its own records of VarDis are laid out otherwise: {found}"
 
     def resized(self, failure: Failure) -> str:
-        """Return a text if the implementation's headers have another size; empty if not, or for a failure about it."""
+        """Return a text if the implementation's headers have another size; empty if not, or for a failure about it.
+
+        With the wrong profile, for example, nothing is known of them.
+        """
+        if self.mistaken and not failure.requirements <= self.blamed:
+            return self.suspicion
         found = (each for each, _ in self.violations if each.resized and each.requirement not in failure.requirements)
         return next((f"its headers have another size: {each}" for each in found), "")
 

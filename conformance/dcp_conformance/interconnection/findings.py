@@ -54,7 +54,7 @@ class Findings(Known):
             misread.setdefault("VarDis", self.contact.own_records)
         if text := layouts.cause(misread, failure):
             return Cause(f"this follows from another fault: {text}", certain=True)
-        if "size" in failure.relied and self.contact is not None and (text := self.contact.resized(failure)):
+        if ("size" in failure.relied or failure.on_air) and self.contact and (text := self.contact.resized(failure)):
             return Cause(f"this follows from another fault: {text}", certain=True)
         if failure.shown:
             return None

@@ -175,9 +175,8 @@ def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
             return misread[each]
     if "size" in failure.relied and "VarCreate" in misread:
         return misread["VarCreate"]
-    if "VarDis" in misread and not failure.requirements <= _CREATION_OWNERS:
-        foreign = any(not each.startswith("VD-") for each in failure.requirements)
-        return "" if foreign or any(each.startswith("VD-IC-") for each in failure.requirements) else misread["VarDis"]
+    if "VarDis" in misread and _about_records(failure):
+        return misread["VarDis"]
     if "creationTime" in failure.relied and _backwards(failure):
         return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
     if "creationTime" in misread and _disordered(failure):
@@ -189,6 +188,15 @@ def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
     if "VarCreate" in misread and created and not failure.requirements <= _CREATION_OWNERS:
         return misread["VarCreate"]
     return misread["report"] if "report" in misread and any(each.srp is not None for each in sent) else ""
+
+
+def _about_records(failure: Failure) -> bool:
+    """Return whether a failed check is about VarDis, but not about the octets of containers.
+
+    If something is missing, it may also be about the data types in its records.
+    """
+    about = ("VD-",) if failure.shown else ("VD-", "DATA-")
+    return all(each.startswith(about) and not each.startswith("VD-IC-") for each in failure.requirements)
 
 
 def _backwards(failure: Failure) -> bool:

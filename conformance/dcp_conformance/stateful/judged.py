@@ -76,8 +76,10 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     if any(isinstance(each, Report) for each in blocks):
         bench.excuses.relies_on("report")
     shown = "\n".join(table(found.rows))
-    violated = ("DATA-01",) if _swapped(finding) else finding.requirements
-    bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *violated)
+    bench.missing(
+        finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements,
+        turned=_swapped(finding),
+    )  # fmt: skip
 
 
 def _swapped(finding: Finding) -> bool:

@@ -49,6 +49,8 @@ class Failure(NamedTuple):
     """Whether received octets prove the failure; otherwise something is missing."""
     relied: frozenset[Misread]
     """The fields that the check depends on."""
+    on_air: bool
+    """Whether frames are the evidence."""
     codec: Codec
     events: Sequence[Event]
     heard: Sequence[ReceivedBeacon]

@@ -57,6 +57,8 @@ class Excuses:
         self.losses = losses
         self.assumptions = assumptions
         self._relied: set[Misread] = set()
+        self.about_layout = False
+        """Whether the case judges whether beacons can be decoded: another layout is its finding, and no excuse."""
         self._disturbed = False
         """Whether a failure of this case was excused by losses or assumptions."""
 
@@ -75,18 +77,20 @@ class Excuses:
         numbers: bool = False,
         patience: float = 1.0,
         field: Misread | None = None,
+        on_air: bool = False,
     ) -> Excuse | None:
         """Return an excuse for a failed check that decides these requirements; None if the failure counts.
 
-        ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or
-        assumptions have excused a failure, they excuse failures of both kinds: later ones may follow from it.
+        ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. ``on_air``: whether
+        frames are the evidence. Once losses or assumptions have excused a failure, they excuse failures of both kinds:
+        later ones may follow from it.
         """
         relied = self._relied if field is None else self._relied | {field}
         failure = Failure(
-            frozenset(requirements), shown, frozenset(relied), self._codec, self._traffic.events, self._heard,
+            frozenset(requirements), shown, frozenset(relied), on_air, self._codec, self._traffic.events, self._heard,
             self._created, self._run.sut_id, self._clock.wall(),
         )  # fmt: skip
-        cause = self._run.known.cause(failure)
+        cause = None if self.about_layout else self._run.known.cause(failure)
         if cause is not None and cause.certain:
             return Excuse(cause.text)
         # The tester has lost nothing: later failures that are proved by received octets still count.

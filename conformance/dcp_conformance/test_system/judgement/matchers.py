@@ -69,11 +69,14 @@ class Statements:
         patience: float = 1.0,
         field: Misread | None = None,
         stop: bool = False,
+        several: bool = False,
+        turned: bool = False,
     ) -> bool:
         evidence = [*frames][:_FRAMES]
         good = self._verdicts.check(
-            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field
-        )
+            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field,
+            on_air=several or bool(evidence), turned=turned,
+        )  # fmt: skip
         if stop and not good:
             raise StopCase
         return good
@@ -116,9 +119,17 @@ class Missing(Statements):
         """Check that nothing is missing of what must have been received."""
         return self._check(not missing, expected, f"missing: {described(missing)}", requirements, frames=frames)
 
-    def missing(self, expected: str, seen: object = NOTHING, /, *requirements: str, patience: float = 1.0) -> NoReturn:
-        """Stop the case because something was not received."""
-        self._check(False, expected, content(seen), requirements, frames=(), patience=patience)
+    def missing(
+        self,
+        expected: str,
+        seen: object = NOTHING,
+        /,
+        *requirements: str,
+        patience: float = 1.0,
+        turned: bool = False,
+    ) -> NoReturn:
+        """Stop the case because something was not received. ``turned``: see :meth:`.Verdicts.check`."""
+        self._check(False, expected, content(seen), requirements, frames=(), patience=patience, turned=turned)
         raise StopCase
 
 
@@ -139,7 +150,9 @@ class Shown(Statements):
         """Check that there are no such frames, records or values. ``expected`` names what is right: "no VarDelete"."""
         observed = content(seen) or described(surplus)
         evidence = evidence_in(surplus) if frames is None else frames
-        return self._check(not surplus, expected, observed, requirements, frames=evidence, shown=given, stop=stop)
+        return self._check(
+            not surplus, expected, observed, requirements, frames=evidence, shown=given, stop=stop, several=True
+        )
 
     def every(
         self,
@@ -175,10 +188,9 @@ class Shown(Statements):
         stop: bool = False,
     ) -> bool:
         """Check a value in an answer or in a frame that was received: any difference is shown, also its absence."""
-        seen, names = _told(observed, right, requirements)
         return self._check(
-            observed == right, f"{what}: {content(right)}", seen, names, frames=frames, shown=True, field=field,
-            stop=stop,
+            observed == right, f"{what}: {content(right)}", content(observed), requirements, frames=frames, shown=True,
+            field=field, stop=stop, turned=swapped(observed, right),
         )  # fmt: skip
 
     def fields(self, answer: Mapping[str, object], /, *requirements: str, **right: object) -> bool:
@@ -227,10 +239,11 @@ class Matchers(Missing, Shown):
     ) -> bool:
         """Check a value that may not have been received (None): then it is missing; another value is shown."""
         shown = observed is not None and given
-        seen, names = (NOTHING, requirements) if observed is None else _told(observed, right, requirements)
+        seen = NOTHING if observed is None else content(observed)
         return self._check(
-            observed == right, f"{what}: {content(right)}", seen, names, frames=frames, shown=shown, stop=stop
-        )
+            observed == right, f"{what}: {content(right)}", seen, requirements, frames=frames, shown=shown, stop=stop,
+            turned=swapped(observed, right),
+        )  # fmt: skip
 
     def only(
         self,
@@ -251,7 +264,9 @@ class Matchers(Missing, Shown):
             else:
                 surplus.append(each)
         observed = content(seen) or described(came)
-        return self._check(not surplus + lacking, expected, observed, requirements, frames=frames, shown=surplus)
+        return self._check(
+            not surplus + lacking, expected, observed, requirements, frames=frames, shown=surplus, several=True
+        )
 
     def in_order(
         self,
@@ -267,7 +282,7 @@ class Matchers(Missing, Shown):
         came, wanted = [*found], [*right]
         observed = content(seen) or described(came)
         shown = not part_of(came, wanted)
-        return self._check(came == wanted, expected, observed, requirements, frames=frames, shown=shown)
+        return self._check(came == wanted, expected, observed, requirements, frames=frames, shown=shown, several=True)
 
     def repeated(
         self,
@@ -296,6 +311,7 @@ class Matchers(Missing, Shown):
             requirements,
             frames=evidence_in(found) if frames is None else frames,
             shown=number > limit and given and self._verdicts.in_time,
+            several=True,
         )
 
     def one_each(self, found: Collection[Instruction], expected: str, /, *requirements: str) -> bool:
@@ -347,16 +363,6 @@ class Matchers(Missing, Shown):
     def passed(self, expected: str, /, *requirements: str, frames: Iterable[Evidence] = ()) -> None:
         """Record a statement that has already been established."""
         self._check(True, expected, "", requirements, frames=frames)
-
-
-def _told(observed: object, right: object, requirements: Sequence[str]) -> tuple[str, Sequence[str]]:
-    """Describe an observation; return the requirements that it violates if it is not ``right``.
-
-    A number whose octets are swapped violates DATA-01, whatever the case is about.
-    """
-    if observed != right and swapped(observed, right):
-        return f"{content(observed)}, a number with its octets swapped", ("DATA-01",)
-    return content(observed), requirements
 
 
 def swapped(observed: object, right: object) -> bool:

@@ -75,6 +75,8 @@ class Verdicts:
         numbers: bool = False,
         patience: float = 1.0,
         field: Misread | None = None,
+        on_air: bool = False,
+        turned: bool = False,
     ) -> bool:
         """Record whether a condition holds, and return it. Does not stop the case.
 
@@ -91,17 +93,24 @@ class Verdicts:
         ``patience``: number of beacon periods by which the tester may be late without an effect on this check. More
         than one if the stimuli have the same effect at any time, or were repeated.
 
-        ``field``: the check compares this field, see :meth:`.Excuses.relies_on`.
+        ``field``: the check compares this field, see :meth:`.Excuses.relies_on`. ``on_air``: it is about frames.
+
+        ``turned``: the observation is a number with its octets swapped. That violates DATA-01, whatever the case is
+        about.
         """
         if holds:
             self._add(Verdict.PASS, expected, "", requirements, frames)
             return True
         decided = _ids(requirements) or self._case.requirements
-        excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
+        excuse = self._excuses.find(
+            decided, shown=bool(shown), numbers=numbers, patience=patience, field=field, on_air=on_air
+        )
         if excuse is None:
             # After a missing reaction, the next one may be a late answer to the earlier stimulus.
             first = all(each.verdict is not Verdict.FAIL for each in self.checks)
             self._proved = self._proved or (first and (bool(shown) or numbers))
+            if turned:
+                requirements, observed = ("DATA-01",), f"{observed}, a number with its octets swapped"
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
             text = f"{observed}; but {excuse.text}"
