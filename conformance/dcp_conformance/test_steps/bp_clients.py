@@ -188,6 +188,9 @@ class BPClient:
             raise CouldNotAskError("other cases are executed at the same time, and have clients")
         if not self.answer.ok and (why := bench.sut.lacks("clients", bench.clients + 1)):
             bench.verdicts.not_applicable(f"{why}, and this case needs more")
+        size = self.registration["maxPayloadSize"]
+        if self.answer.status == ILLEGAL_SIZE and size > (largest := largest_payload(bench)):
+            bench.verdicts.not_applicable(f"payloads have at most {largest} octets, and this case needs {size}")
         bench.services.require_success(REGISTER, self.answer)
         bench.clients += 1
         return self

@@ -162,3 +162,8 @@ def test_values_that_are_cut_stay_different():
     # A case about lengths says what it sends.
     assert bench.peer().create(1, value=b"value", exact=True).upd.value == b"value"
     assert bench.peer().update(1, 1, b"value").value == cut[0]
+
+
+def test_a_full_database_of_an_unknown_size_is_alive() -> None:
+    found = results(["TC_VD_DDB_BV_04", "TC_VD_PAY_BV_02-updates", "TC_VD_SUM_BV_01"], vardis={"max_variables": 20})
+    assert not any(each.verdict is Verdict.FAIL for each in found.values()), not_fine(found)

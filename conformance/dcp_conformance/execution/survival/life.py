@@ -34,6 +34,8 @@ READY_PATIENCE: Final = 8.0
 SILENT: Final = 3.0
 #: Maximum number of beacon periods for sending the records that precede an answer.
 _BACKLOG: Final = 100
+#: Number of beacons after which a VarCreate is no longer repeated.
+_BEACONS: Final = 3
 _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
@@ -164,8 +166,23 @@ class Life:
     def _asked(self, bench: Bench) -> bool:
         if self._can_ask(bench):
             with contextlib.suppress(StopCase):
-                return bench.probes.probe(max(5, bench.sut.reaction))
+                patience = max(5, bench.sut.reaction)
+                return bench.probes.probe(patience) or self._delivers(bench, patience)
         return bool(bench.beacons(1, 5))
+
+    @staticmethod
+    def _delivers(bench: Bench, patience: float) -> bool:
+        """Request a variable that the implementation states in a summary; return whether it sends the VarCreate.
+
+        A full database requests no further variable (X43), and its limit may be unknown.
+        """
+        repeated = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=-_BEACONS)}
+        stated = [each.var_id for each in bench.instructions(ICType.SUMMARIES) if each.var_id not in repeated]
+        if not stated:
+            return False
+        var_id, peer = stated[-1], bench.peer()
+        peer.send(peer.request_create(var_id))
+        return bench.until_instruction(ICType.CREATE_VARIABLES, var_id, patience) is not None
 
     @staticmethod
     def _await_backlog(bench: Bench, since: int) -> None:
