@@ -173,8 +173,6 @@ def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
     for each in failure.relied:
         if each in misread:
             return misread[each]
-    if "size" in failure.relied and "VarCreate" in misread:
-        return misread["VarCreate"]
     if "VarDis" in misread and _about_records(failure):
         return misread["VarDis"]
     if "creationTime" in failure.relied and _backwards(failure):

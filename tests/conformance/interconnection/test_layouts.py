@@ -12,8 +12,9 @@ from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.session import Session
+from dcp_selftest.mutants import all_mutants
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
@@ -32,10 +33,10 @@ def other(**changes: dict[str, Any]) -> Profile:
 
 
 def outcome_of(
-    spoken: Profile, *, cases: tuple[str, ...] = ("",), services: bool = True
+    spoken: Profile, *, cases: tuple[str, ...] = ("",), services: bool = True, make: MakeNode = plain_node
 ) -> tuple[Runner, Counter[str], list[str]]:
     """Test a node that speaks another profile as one of :data:`STRICT`: failed requirements, and all reasons."""
-    sut = InProcess(reference_config(Codec(spoken)))
+    sut = InProcess(reference_config(Codec(spoken)), make=make)
     upper = sut.upper_tester() if services else None
     runner = Runner(Session(codec_of(STRICT), sut.lower_tester(), upper, Pics()), sut)
     runner.prepare()
@@ -95,6 +96,16 @@ def test_records_of_another_layout_are_reported_without_their_consequences(
     assert failed
     assert failed.keys() <= owners
     assert any("this follows from another fault: its own records of VarDis are laid out" in each for each in reasons)
+
+
+@pytest.mark.parametrize(
+    ("mutant", "case"),
+    [("M-BP-QM-03-drophead-repeats", "TC_BP_QM_BV"), ("M-SRP-SEQ-01-by-two", "TC_SRP_REC_BV")],
+)
+def test_another_layout_of_records_hides_no_fault_of_another_protocol(mutant: str, case: str) -> None:
+    fault = all_mutants()[mutant]
+    _, failed, _ = outcome_of(other(var_timeout={"width": 4}), cases=("TC_DCP_DATA_BV_06", case), make=fault.make)
+    assert failed.keys() >= {"DATA-07", fault.requirements[0]}
 
 
 def test_an_identifier_of_another_size_does_not_stop_the_tester() -> None:
