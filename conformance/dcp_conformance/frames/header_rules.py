@@ -40,7 +40,7 @@ class Violation(NamedTuple):
     length: int
     path: str = ""
     resized: bool = False
-    """Whether the fault changes the size of the headers."""
+    """Whether the headers have another size than in the profile."""
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ def judge(
     if fault is not None:
         field = tree.root.find(f"bp.{fault.field}") or tree.root
         place = (field.offset, field.length, field.path or "bp")
-        resized = fault.profile is not None and _start(layout_of(fault.profile), octets) != _start(codec, octets)
+        resized = fault.profile is not None and _start(layout_of(fault.profile).dissect(octets)) != _start(tree)
         return [Violation(each, fault.expected, fault.observed, *place, resized) for each in fault.requirements.split()]
     found = [*_of_the_header(octets, codec, tree, salvaged), *_of_payloads(salvaged)]
     known = {each.path for each in found}
@@ -84,9 +84,9 @@ def judge(
     return [*found, *rest] or [_as_violation(salvaged.problems[0])]
 
 
-def _start(codec: Codec, octets: bytes) -> int | None:
-    """Return the position of the first payload block in a layout."""
-    payloads = codec.dissect(octets).root.child("payloads")
+def _start(tree: Dissection) -> int | None:
+    """Return the position of the first payload block."""
+    payloads = tree.root.child("payloads")
     return None if payloads is None else payloads.offset
 
 

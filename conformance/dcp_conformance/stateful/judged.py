@@ -11,13 +11,13 @@ from functools import partial
 
 from dcp_conformance.oracle.judgement import Finding
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.judgement.matchers import swapped
+from dcp_conformance.test_system.judgement.matchers import only_swapped
 from dcp_conformance.test_system.known import UNREADABLE
 from dcp_conformance.test_system.sut_properties import Capacity
 
 from .driver import Counterexample, Driver, shorter, table
 from .on_bench import BenchExecutor
-from .steps import Beacon, Call, Records, Report, Step
+from .steps import Beacon, Call, Content, Records, Report, Step
 
 #: Executions to make a counterexample on a link shorter.
 ATTEMPTS = 12
@@ -70,7 +70,7 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     bench.excuses.relies_on("size")
     if finding.about == "creationTime":
         bench.excuses.relies_on("creationTime")
-    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    blocks = _blocks(steps)
     if any(isinstance(each, Records) for each in blocks):
         bench.excuses.relies_on("VarCreate")
     if any(isinstance(each, Report) for each in blocks):
@@ -85,13 +85,16 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
 def _swapped(finding: Finding) -> bool:
     """Return whether a number of the expectation has been observed with its octets in the other order."""
     right, seen = (set(map(int, re.findall(r"\b\d+\b", text))) for text in (finding.expected, finding.observed))
-    return any(swapped(one, other) for one in seen - right for other in right - seen)
+    return any(only_swapped(one, other) for one in seen - right for other in right - seen)
+
+
+def _blocks(steps: Sequence[Step]) -> list[Content]:
+    return [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
 
 
 def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:
     """Return the beginnings of the names of the parameters on which a sequence depends."""
-    found = ["BPPAR"]
-    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    found, blocks = ["BPPAR"], _blocks(steps)
     methods = [each.method for each in steps if isinstance(each, Call)]
     if any(isinstance(each, Report) for each in blocks) or any(each.startswith("SRP") for each in methods):
         found.append("SRPPAR")
@@ -102,7 +105,7 @@ def _protocols(steps: Sequence[Step]) -> tuple[str, ...]:
 
 def _room(steps: Sequence[Step]) -> dict[Capacity, int]:
     """Return how many entries of each kind a sequence needs at most."""
-    blocks = [block for each in steps if isinstance(each, Beacon) for block in each.blocks]
+    blocks = _blocks(steps)
     params = [each.params for each in steps if isinstance(each, Call)]
     return {
         "queue_entries": max((each.get("maxEntries", 0) for each in params), default=0),

@@ -50,7 +50,7 @@ class Failure(NamedTuple):
     relied: frozenset[Misread]
     """The fields that the check depends on."""
     on_air: bool
-    """Whether frames are the evidence."""
+    """Whether the check is about received frames."""
     codec: Codec
     events: Sequence[Event]
     heard: Sequence[ReceivedBeacon]

@@ -34,7 +34,7 @@ READY_PATIENCE: Final = 8.0
 SILENT: Final = 3.0
 #: Maximum number of beacon periods for sending the records that precede an answer.
 _BACKLOG: Final = 100
-#: Number of beacons after which a VarCreate is no longer repeated.
+#: A VarCreate that is in none of this number of last beacons is no longer repeated.
 _BEACONS: Final = 3
 _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]

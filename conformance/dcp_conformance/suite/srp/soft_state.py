@@ -56,6 +56,7 @@ def lifetime(
 
 
 def _present(bench: Bench, node_ids: set[bytes]) -> None:
+    """Stop the case as inconclusive unless all of these nodes have an entry."""
     if missing := node_ids - set(neighbours(bench)):
         bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
 

@@ -58,7 +58,7 @@ class Excuses:
         self.assumptions = assumptions
         self._relied: set[Misread] = set()
         self.about_layout = False
-        """Whether the case judges whether beacons can be decoded: another layout is its finding, and no excuse."""
+        """Whether the case tests that beacons can be decoded. It reports another layout; no other case does."""
         self._disturbed = False
         """Whether a failure of this case was excused by losses or assumptions."""
 
@@ -82,8 +82,8 @@ class Excuses:
         """Return an excuse for a failed check that decides these requirements; None if the failure counts.
 
         ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. ``on_air``: whether
-        frames are the evidence. Once losses or assumptions have excused a failure, they excuse failures of both kinds:
-        later ones may follow from it.
+        the check is about received frames. Once losses or assumptions have excused a failure, they excuse failures of
+        both kinds: later ones may follow from it.
         """
         relied = self._relied if field is None else self._relied | {field}
         failure = Failure(

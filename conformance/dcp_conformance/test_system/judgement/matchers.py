@@ -81,6 +81,25 @@ class Statements:
             raise StopCase
         return good
 
+    def _compare(
+        self,
+        observed: object,
+        right: object,
+        what: str,
+        requirements: Sequence[str],
+        *,
+        frames: Iterable[Evidence],
+        shown: object,
+        stop: bool,
+        field: Misread | None = None,
+        seen: str = "",
+    ) -> bool:
+        holds = observed == right
+        return self._check(
+            holds, f"{what}: {content(right)}", seen or content(observed), requirements, frames=frames, shown=shown,
+            field=field, stop=stop, turned=not holds and only_swapped(observed, right),
+        )  # fmt: skip
+
 
 class Missing(Statements):
     """Statements that fail because something was not received."""
@@ -188,10 +207,7 @@ class Shown(Statements):
         stop: bool = False,
     ) -> bool:
         """Check a value in an answer or in a frame that was received: any difference is shown, also its absence."""
-        return self._check(
-            observed == right, f"{what}: {content(right)}", content(observed), requirements, frames=frames, shown=True,
-            field=field, stop=stop, turned=swapped(observed, right),
-        )  # fmt: skip
+        return self._compare(observed, right, what, requirements, frames=frames, shown=True, field=field, stop=stop)
 
     def fields(self, answer: Mapping[str, object], /, *requirements: str, **right: object) -> bool:
         """As :meth:`answered` for several fields of an answer, in one check each."""
@@ -239,11 +255,8 @@ class Matchers(Missing, Shown):
     ) -> bool:
         """Check a value that may not have been received (None): then it is missing; another value is shown."""
         shown = observed is not None and given
-        seen = NOTHING if observed is None else content(observed)
-        return self._check(
-            observed == right, f"{what}: {content(right)}", seen, requirements, frames=frames, shown=shown, stop=stop,
-            turned=swapped(observed, right),
-        )  # fmt: skip
+        seen = NOTHING if observed is None else ""
+        return self._compare(observed, right, what, requirements, frames=frames, shown=shown, stop=stop, seen=seen)
 
     def only(
         self,
@@ -365,10 +378,10 @@ class Matchers(Missing, Shown):
         self._check(True, expected, "", requirements, frames=frames)
 
 
-def swapped(observed: object, right: object) -> bool:
+def only_swapped(observed: object, right: object) -> bool:
     """Return whether two values are equal, except numbers of 2, 4 or 8 octets whose octets are in the other order.
 
-    A single octet must have moved by three octets at least: by one octet it may be another fault of counting.
+    A number below 256 must have moved by at least three octets. By one octet, it may be a fault of counting.
     """
     if observed == right:
         return True
@@ -380,7 +393,7 @@ def swapped(observed: object, right: object) -> bool:
             for width in widths
         )  # fmt: skip
     if isinstance(observed, tuple | list) and isinstance(right, tuple | list):
-        return len(observed) == len(right) and all(map(swapped, observed, right))
+        return len(observed) == len(right) and all(map(only_swapped, observed, right))
     return False
 
 

@@ -194,8 +194,6 @@ def still_in_effect(bench: Bench, wrong: tuple[str, tuple[int, ...]]) -> None:
             if found.mean - found.margin > 1.5 * new * MS and not overload(bench):
                 bench.some(None, f"a mean interval of about {new} ms", seen=found)
         else:
-            # Headers of another size move the field.
-            bench.excuses.relies_on("size")
             numbers = {each.beacon.bp.network_id for each in frames if each.beacon and each.beacon.bp}
             bench.only(numbers, {new}, f"beacons of network {new:#x}", frames=frames[:4])
 
