@@ -11,6 +11,8 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEMO   := $(VENV)/.installed-demo
 comma  := ,
+# Distributions beside the kit, with what their tests need.
+PARTS  := -e './lab[plot]' -e './tables[dask,duckdb,report]' -e ./selftest
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 PYTEST := $(BIN)/pytest -q -n auto
 # uv installs in a tenth of the time of pip. It does not read pip's configuration: where it cannot install, pip does.
@@ -137,11 +139,11 @@ selftest-doc: $(STAMP)
 	$(BIN)/dcp-selftest generated 200 --seed 701 --seed 702 --seed 703 --document docs/selftest.md
 	$(BIN)/dcp-selftest vectors --document docs/selftest.md
 
-$(STAMP) $(DEMO): pyproject.toml selftest/pyproject.toml
+$(STAMP) $(DEMO): pyproject.toml lab/pyproject.toml tables/pyproject.toml selftest/pyproject.toml
 	@echo "Installing into $(VENV) ..."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --disable-pip-version-check uv || true
-	@$(call INSTALL,$(if $(findstring demo,$@),-e '.[conformance$(comma)scapy]',-e '.[test]' -e ./selftest))
+	@$(call INSTALL,$(if $(findstring demo,$@),-e '.[conformance$(comma)scapy]' -e ./lab,-e '.[test]' $(PARTS)))
 	@touch $@
 
 clean:

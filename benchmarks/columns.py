@@ -30,14 +30,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dcp_tables import ColumnDecoder, Recording
+from dcp_tables.table.archive import Order, make
+from dcp_tables.table.writing import Format
 
 from dcp_codec import Codec, get_codec, open_table
 from dcp_codec.capture import open_capture
 from dcp_codec.export.lua import wireshark_dissector
 from dcp_codec.framing.locate import Framing, locate
-from dcp_codec.table import ColumnDecoder, Recording
-from dcp_codec.table.archive import Order, make
-from dcp_codec.table.writing import Format
 
 sys.path.insert(0, str(Path(__file__).parent))
 logging.getLogger("scapy").setLevel(logging.ERROR)

@@ -26,13 +26,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+from dcp_lab.sim.scenario.definition import Scenario, Topology
+from dcp_lab.sim.testbed.testbed import Testbed
+from dcp_lab.sim.virtual.network import Network
+
 from dcp_codec.codec import get_codec
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import NeighbourSeen, VariableChanged
 from dcp_stack.node import Node
-from dcp_stack.sim.scenario.definition import Scenario, Topology
-from dcp_stack.sim.testbed.testbed import Testbed
-from dcp_stack.sim.virtual.network import Network
 from dcp_stack.virtual.quality import Quality
 from dcp_stack.virtual.topology import Full, Line
 

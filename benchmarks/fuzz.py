@@ -24,19 +24,19 @@ from typing import Any, NamedTuple
 
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.fuzz.campaign import read_state
-from dcp_conformance.fuzz.execute.live import LiveTarget
-from dcp_conformance.fuzz.execute.stack import StackTarget
-from dcp_conformance.fuzz.generate.sequences import Sequences
-from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.bench import Session
+from dcp_lab.fuzz.campaign import read_state
+from dcp_lab.fuzz.execute.live import LiveTarget
+from dcp_lab.fuzz.execute.stack import StackTarget
+from dcp_lab.fuzz.generate.sequences import Sequences
+from dcp_lab.fuzz.steps import Frame
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.fuzz.lifetimes import Lifetimes
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 SEED = 1
 

@@ -22,13 +22,13 @@ from dcp_conformance.model.results import RunResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_selftest.recordings.lines import FAULTS, FAULTY, LINKS, NODES, PROFILE, record_line, recorded
 from dcp_spec.markdown import table
+from dcp_tables.report.analysis import time_of
+from dcp_tables.report.holding import holding
+from dcp_tables.report.recorded import gather
 
 from dcp_codec.analysis.guess import guess, sample
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.codec import Codec
-from dcp_codec.report.analysis import time_of
-from dcp_codec.report.holding import holding
-from dcp_codec.report.recorded import gather
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "ground-truth.md"

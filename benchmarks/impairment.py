@@ -86,7 +86,7 @@ def virtual() -> Iterator[Row]:
 
 def socket_in(namespace: str) -> socket.socket:
     """A packet socket on the station's interface, with the kernel's stamps."""
-    from dcp_stack.sim.testbed.place import INTERFACE
+    from dcp_lab.sim.testbed.place import INTERFACE
 
     libc = ctypes.CDLL(None, use_errno=True)
     back, inside = (os.open(name, os.O_RDONLY) for name in ("/proc/self/ns/net", f"/run/netns/{namespace}"))
@@ -106,9 +106,10 @@ def socket_in(namespace: str) -> socket.socket:
 
 def relayed(frames: int = 400) -> tuple[list[Row], dict[str, int]]:
     """The relay between two namespaces; ratios, and how late the relay itself was (ns)."""
+    from dcp_lab.relay import RelayFabric
+    from dcp_lab.sim.testbed import namespaces
+
     from dcp_codec.network.sockets import stamp_of
-    from dcp_stack.relay import RelayFabric
-    from dcp_stack.sim.testbed import namespaces
 
     impairment = parse_impairment(OPTIONS)
     expected = Channel(impairment, seed=7, name="0>1")

@@ -26,12 +26,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from dcp_lab.sim.scenario.definition import Scenario, Tracks
+from dcp_lab.sim.testbed.fabric import INTERFACE
+from dcp_lab.sim.testbed.processes import NodeProcess
+from dcp_lab.sim.testbed.testbed import Testbed
+
 from dcp_codec.codec import get_codec
 from dcp_codec.network.namespaces import enter_command
-from dcp_stack.sim.scenario.definition import Scenario, Tracks
-from dcp_stack.sim.testbed.fabric import INTERFACE
-from dcp_stack.sim.testbed.processes import NodeProcess
-from dcp_stack.sim.testbed.testbed import Testbed
 
 PARTS = {
     "node": "",

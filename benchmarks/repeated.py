@@ -6,11 +6,11 @@ import struct
 from itertools import islice
 from pathlib import Path
 
+from dcp_tables.table.job import resolve
 from mcap.reader import make_reader
 
 from dcp_codec.capture import convert, open_capture
 from dcp_codec.framing.locate import Framing, locate
-from dcp_codec.table.job import resolve
 
 #: Beacons that contenders get which need microseconds, and tens of microseconds, for each.
 QUICK, SLOW = 200_000, 100_000

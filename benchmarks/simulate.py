@@ -19,9 +19,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dcp_stack.sim.scenario.defaults import default_scenario
-from dcp_stack.sim.scenario.definition import NS_PER_S, Create, Scenario, Topology, Tracks, Update
-from dcp_stack.sim.virtual.player import Simulation
+from dcp_lab.sim.scenario.defaults import default_scenario
+from dcp_lab.sim.scenario.definition import NS_PER_S, Create, Scenario, Topology, Tracks, Update
+from dcp_lab.sim.virtual.player import Simulation
 
 #: Name -> nodes, topology, virtual seconds with cheap and with plain nodes.
 NETWORKS = {

@@ -26,17 +26,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from dcp_lab.sim.scenario.defaults import default_scenario
+from dcp_lab.sim.scenario.definition import Converged, Create, Scenario, Topology, Tracks, Update
+from dcp_lab.sim.testbed.processes import NodeProcess
+from dcp_lab.sim.testbed.testbed import Testbed
+from dcp_lab.sim.virtual.player import Simulation
+
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.network.namespaces import enter_command
 from dcp_codec.values import Beacon, BPHeader, Payload
 from dcp_stack.config import NodeConfig
 from dcp_stack.control.server import ControlServer
 from dcp_stack.node import Node
-from dcp_stack.sim.scenario.defaults import default_scenario
-from dcp_stack.sim.scenario.definition import Converged, Create, Scenario, Topology, Tracks, Update
-from dcp_stack.sim.testbed.processes import NodeProcess
-from dcp_stack.sim.testbed.testbed import Testbed
-from dcp_stack.sim.virtual.player import Simulation
 
 CODEC = get_codec("dcp-2.0")
 SECOND = 1_000_000_000

@@ -46,7 +46,7 @@ def typed() -> list[str]:
     found = []
     for command in COMMANDS:
         found.append(f"{command.name} --help")
-        found += [f"{command.name} {subcommand} --help" for subcommand in command.commands]
+        found += [f"{command.name} {subcommand} --help" for subcommand in command.subcommands]
     return [*found, *WORK]
 
 

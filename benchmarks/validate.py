@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+from dcp_lab.sim.measuring.values import DelayRow
+from dcp_lab.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Tracks, Update
+from dcp_lab.sim.scenario.radio import RadioTable
+from dcp_lab.sim.scenario.report import Report
+from dcp_lab.sim.virtual.player import Simulation, simulate
 from dcp_spec.markdown import table
 
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.sim.measuring.values import DelayRow
-from dcp_stack.sim.scenario.definition import Create, LinkQuality, Scenario, Topology, Tracks, Update
-from dcp_stack.sim.scenario.radio import RadioTable
-from dcp_stack.sim.scenario.report import Report
-from dcp_stack.sim.virtual.player import Simulation, simulate
 
 PAGE = Path(__file__).parents[1] / "docs" / "validation.md"
 BEGIN, END = "<!-- table: made by benchmarks/validate.py -->", "<!-- end of table -->"

@@ -8,11 +8,6 @@ The names below are the package's interface; everything is built on :class:`Code
     >>> octets == codec.encode(beacon)
     >>> codec.dissect(octets).problems             # lenient: never raises
     >>> codec.salvage(octets).beacon               # what can be read of damaged octets
-
-Tables of whole recordings, with the extra ``table``::
-
-    >>> from dcp_codec import open_table
-    >>> open_table("flight.mcap", "updates").polars()
 """
 
 from __future__ import annotations
@@ -24,7 +19,6 @@ from dcp_spec.exports import exported
 if TYPE_CHECKING:
     from .codec import Codec, get_codec
     from .errors import CodecError, DecodeError, EncodeError, Problem
-    from .table.opening import OpenTable, Source
     from .values import (
         Beacon,
         BPHeader,
@@ -69,19 +63,6 @@ __getattr__ = exported(
 )
 
 
-def open_table(
-    path: Source, table: str = "beacons", *, profile: str = "auto", ether_type: int | None = None
-) -> OpenTable:
-    """Open one table of recordings for Arrow, pandas or Polars: :func:`dcp_codec.table.opening.open_table`.
-
-    Raises ImportError without the extra ``table``.
-    """
-    # Imported here, so that only users of tables load Numba and Arrow.
-    from .table.opening import open_table as opened
-
-    return opened(path, table, profile=profile, ether_type=ether_type)
-
-
 __all__ = [
     "BPHeader",
     "Beacon",
@@ -107,5 +88,4 @@ __all__ = [
     "VarSumm",
     "VarUpdate",
     "get_codec",
-    "open_table",
 ]

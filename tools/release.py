@@ -1,8 +1,8 @@
 """Build everything that a release consists of: ``python -m tools.release [FOLDER]``, by default ``build/release``.
 
-Wheel and source distribution of the kit, wheel of its self-test, the generated C and Rust of the main profiles with the
-example node, test vectors with their runners, the documentation site, the container file, and SHA-256 sums. Archives of
-one commit are equal: their files have the date of the commit and no owner.
+Wheel and source distribution of the kit, wheels of laboratory, tables and self-test, the generated C and Rust of the
+main profiles with the example node, test vectors with their runners, the documentation site, the container file, and
+SHA-256 sums. Archives of one commit are equal: their files have the date of the commit and no owner.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ def main() -> int:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     date = int(_output("git", "log", "-1", "--format=%ct"))
-    for project, targets in ((ROOT, ("wheel", "sdist")), (ROOT / "selftest", ("wheel",))):
-        for target in targets:
+    for project in (ROOT, ROOT / "lab", ROOT / "tables", ROOT / "selftest"):
+        for target in ("wheel", "sdist") if project == ROOT else ("wheel",):
             command = [sys.executable, "-m", "hatchling", "build", "-d", str(folder), "-t", target]
             subprocess.run(command, cwd=project, check=True, stdout=subprocess.DEVNULL)  # noqa: S603
     archive(folder / f"dcp-c-{__version__}.tar.gz", f"dcp-c-{__version__}", c_files(), date)

@@ -22,7 +22,8 @@ VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 #: Tests that need neither a network nor real time.
 PARTS = ("--part=core", "--part=suite", "--part=tools", "--part=tables")
 TESTS = ("-q", "-p", "no:cacheprovider", *PARTS, "tests/codec", "tests/stack", "tests/spec")
-EXTRAS = ".[test]"
+#: The distributions that are installed, with all that tests need.
+PROJECTS = (".[test]", "./lab[plot]", "./tables[dask,duckdb,report]", "./selftest")
 
 
 def interpreter(uv: str, version: str) -> Path | None:
@@ -37,9 +38,10 @@ def interpreter(uv: str, version: str) -> Path | None:
 
 def environment(uv: str, python: Path, folder: Path, options: Sequence[str]) -> bool:
     """Make a virtual environment with this project and its tests; returns whether that worked."""
+    projects = [part for each in PROJECTS for part in ("-e", each)]
     commands = (
         [uv, "venv", "--quiet", "--clear", "--python", str(python), str(folder)],
-        [uv, "pip", "install", "--quiet", "--python", str(folder / "bin" / "python"), *options, "-e", EXTRAS],
+        [uv, "pip", "install", "--quiet", "--python", str(folder / "bin" / "python"), *options, *projects],
     )
     return all(subprocess.run(each, check=False, cwd=ROOT).returncode == 0 for each in commands)  # noqa: S603 - as above
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_codec.common.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine, CommandSection
 
 #: Entry point of ``dcp-codec``.
 main = CommandLine(
@@ -11,8 +11,6 @@ main = CommandLine(
     commands={
         "decode": "Show every beacon, state report and variable instruction of recordings.",
         "stats": "Count beacons, losses and records in recordings.",
-        "table": "Turn recordings into tables: Parquet, CSV, DuckDB.",
-        "report": "Write a page about recordings: values held, losses, ages, positions, anomalies.",
         "guess": "Rank the wire profiles for a recording.",
         "convert": "Convert between MCAP, pcap and pcapng, or write an MCAP for ROS 2.",
         "filter": "Copy the frames that meet a condition.",
@@ -25,6 +23,16 @@ main = CommandLine(
         "export": "Write the wire format for Wireshark, Kaitai, scapy, JSON Schema, or as Markdown.",
         "profiles": "List the wire profiles, show one, or draft one from a recording.",
     },
+    further=(
+        CommandSection(
+            "Commands of dcp-conformance-tables",
+            "dcp_tables.cli",
+            {
+                "table": "Turn recordings into tables: Parquet, CSV, DuckDB.",
+                "report": "Write a page about recordings: values held, losses, ages, positions, anomalies.",
+            },
+        ),
+    ),
     about="Decode recordings of DCP (Drone Coordination Protocol), and locate the octet that is wrong.",
     exit_status="0 all good; 1 malformed DCP frames were seen; 2 wrong usage, or input that could not be read "
     "(to its end).",

@@ -17,7 +17,6 @@ from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import LOSSY_HELP, UNUSABLE, ExpectedError, choice_option, expected
 
 from .common import choose, dissector_of, interruptible, note, profile_options, progress_bar
-from .recordings import extras
 
 
 @click.command(
@@ -108,7 +107,7 @@ def _ros2(source: str, target: str, profile: str, ether_type: int | None) -> int
     if same_file(source, target):
         raise ExpectedError(f"{target}: source and target are the same file")
     codec, link = _codec(source, profile, ether_type)
-    with extras(), _progress(source) as advance:
+    with _progress(source) as advance:
         stream = sys.stdin.buffer if source == "-" else Path(source)
         report = write_bag(stream, Path(target), codec, link, progress=advance)
     for problem in report.problems:

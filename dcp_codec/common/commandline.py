@@ -17,12 +17,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import click
 from dcp_spec.version import __version__
 
-from .extras import EXTRAS, advice
+from .extras import REQUIREMENTS, advice
 from .printable import plain
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -85,42 +85,51 @@ def out_option(metavar: str, help: str, *, required: bool = False, folder: bool 
     return click.option("-o", "--out", required=required, type=path, metavar=metavar, help=help)
 
 
+class CommandSection(NamedTuple):
+    """Subcommands of one package. The module of a subcommand has its name, with ``_`` for ``-``."""
+
+    heading: str
+    """Heading in the help."""
+    package: str
+    """Package with the modules: ``dcp_codec.cli``. It may be missing; calling a subcommand tells."""
+    commands: Mapping[str, str]
+    """Subcommand -> one line of help, in the order in which they are shown."""
+
+
 class LazyGroup(click.Group):
-    """A group whose subcommands are imported when they are called, so that ``--help`` is quick.
+    """A group whose subcommands are imported when they are called, so that ``--help`` is quick."""
 
-    ``table``: subcommand -> one line of help. The module of a subcommand has its name, with ``_`` for ``-``.
-    """
-
-    def __init__(self, package: str, table: Mapping[str, str], *, name: str, help: str, epilog: str) -> None:
+    def __init__(self, sections: Sequence[CommandSection], *, name: str, help: str, epilog: str) -> None:
         settings = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
         super().__init__(name=name, help=help, epilog=epilog, context_settings=settings)
-        self._package = package
-        self._table = dict(table)
+        self._sections = sections
+        self._packages = {command: each.package for each in sections for command in each.commands}
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click calls with a fixed signature
-        return list(self._table)
+        return list(self._packages)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
-        if cmd_name not in self._table:
+        if (package := self._packages.get(cmd_name)) is None:
             return None
-        command: click.Command = importlib.import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
+        command: click.Command = importlib.import_module(f"{package}.{cmd_name.replace('-', '_')}").command
         return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args[0] not in self._table and not ctx.resilient_parsing:
+        if args[0] not in self._packages and not ctx.resilient_parsing:
             # Imported only for an unknown command, as click does for an unknown option.
             from difflib import get_close_matches
 
-            if near := get_close_matches(args[0], self._table):
+            if near := get_close_matches(args[0], self._packages):
                 ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - as above
-        # The table has all that is needed; importing every module for its help would be slow.
-        with formatter.section("Commands"):
-            formatter.write_dl(list(self._table.items()))
+        # The sections have all that is needed; importing every module for its help would be slow.
+        for each in self._sections:
+            with formatter.section(each.heading):
+                formatter.write_dl(list(each.commands.items()))
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _before_click():
@@ -186,15 +195,22 @@ class CommandLine:
     """Meaning of each exit status, for ``--help``: "0 all good; 1 ..."."""
     failures: Mapping[type[Exception], int] = field(default_factory=lambda: MappingProxyType({}))
     """Further exceptions whose message is meant for the user -> exit status; the first match applies."""
-    extras: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Package -> extra, where this command's extra differs from :data:`~dcp_codec.common.extras.EXTRAS`."""
+    further: tuple[CommandSection, ...] = ()
+    """Subcommands of other distributions."""
     fault_status: int = 1
     """Exit status after an internal error: an unexpected exception, shown with its traceback."""
+
+    @property
+    def subcommands(self) -> dict[str, str]:
+        """All subcommands, those of other distributions last -> one line of help."""
+        tables = (self.commands, *(each.commands for each in self.further))
+        return {name: text for table in tables for name, text in table.items()}
 
     def group(self) -> click.Group:
         """Return the click group of all subcommands."""
         epilog = f"Exit status: {self.exit_status} '{self.name} COMMAND --help' has the details."
-        group = LazyGroup(self.package, self.commands, name=self.name, help=self.about, epilog=epilog)
+        own = CommandSection("Commands", self.package, self.commands)
+        group = LazyGroup((own, *self.further), name=self.name, help=self.about, epilog=epilog)
         return click.version_option(__version__, prog_name=self.name)(group)
 
     def note(self, message: str) -> None:
@@ -247,8 +263,8 @@ class CommandLine:
                 self.note(str(error))
                 return status
         package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-        if extra := self.extras.get(package, EXTRAS.get(package)):
-            self.note(advice(package, extra))
+        if package in REQUIREMENTS:
+            self.note(advice(package))
             return UNUSABLE
         if not isinstance(error, OSError):
             click.echo(plain("".join(traceback.format_exception(error)), keep="\n"), err=True, nl=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_codec.common.commandline import UNUSABLE, CommandLine
+from dcp_codec.common.commandline import UNUSABLE, CommandLine, CommandSection
 from dcp_stack.runtime.errors import NodeError
 
 #: Entry point of ``dcp-node``.
@@ -22,11 +22,19 @@ main = CommandLine(
         "activate": "Activate BP and VarDis.",
         "deactivate": "Deactivate BP and VarDis.",
         "reset": "Restore the state of a node after its start.",
-        "simulate": "Run a network of nodes in virtual time.",
-        "sweep": "Run a scenario for all combinations of some values, and for several seeds.",
-        "explore": "Visit all states of a small network, and find what goes wrong.",
-        "testbed": "Run nodes in network namespaces on a virtual Ethernet.",
     },
+    further=(
+        CommandSection(
+            "Commands of dcp-conformance-lab",
+            "dcp_lab.cli",
+            {
+                "simulate": "Run a network of nodes in virtual time.",
+                "sweep": "Run a scenario for all combinations of some values, and for several seeds.",
+                "explore": "Visit all states of a small network, and find what goes wrong.",
+                "testbed": "Run nodes in network namespaces on a virtual Ethernet.",
+            },
+        ),
+    ),
     about="Run a DCP node (Drone Coordination Protocol), and control a running one.",
     exit_status="0 OK; 1 a service answered with a status other than OK; 2 wrong usage, or an invalid "
     "configuration, link or request; 3 no node could be reached.",

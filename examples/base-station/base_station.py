@@ -25,9 +25,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from dcp_lab.sim.scenario.loading import load_scenario
+from dcp_lab.sim.virtual.player import Simulation
+
 from dcp_stack import ControlClient, ControlError, ServiceError
-from dcp_stack.sim.scenario.loading import load_scenario
-from dcp_stack.sim.virtual.player import Simulation
 
 SCENARIO = Path(__file__).with_name("scenario.toml")
 DRONE, BASE = 0, 4

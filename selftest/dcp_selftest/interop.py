@@ -15,12 +15,12 @@ from typing import Final, NamedTuple
 
 import msgspec
 from dcp_conformance.errors import UsageError
-from dcp_conformance.interop.cell import Cell, obstacle, run_cell
-from dcp_conformance.interop.definition import all_tests, select_tests
-from dcp_conformance.interop.implementations import built_in, meeting_profile
-from dcp_conformance.interop.matrix import default_jobs
-from dcp_conformance.interop.workers.pool import run_in_workers
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop.cell import Cell, obstacle, run_cell
+from dcp_lab.interop.definition import all_tests, select_tests
+from dcp_lab.interop.implementations import built_in, meeting_profile
+from dcp_lab.interop.matrix import default_jobs
+from dcp_lab.interop.workers.pool import run_in_workers
 from dcp_spec.markdown import table
 
 from dcp_codec.common.atomic_write import write_whole

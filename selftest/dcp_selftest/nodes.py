@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dcp_conformance.errors import UsageError
-from dcp_conformance.interop.implementations import OfferedNode
 from dcp_conformance.reference.surroundings import Setup
+from dcp_lab.interop.implementations import OfferedNode
 
 from .mutants.mutant import ALL_MUTANTS
 from .variants.variant import ALL_VARIANTS, setup

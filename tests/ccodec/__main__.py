@@ -18,10 +18,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.capture import open_capture
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 from tests.odd_profiles import ODD_PROFILES, codec_of
 
 from .peer import SANITIZED, Comparison, Peer, build

@@ -7,10 +7,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 
 from dcp_codec.export.c import files
 from dcp_codec.export.c.files import codec_files
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 from tests.ccodec.peer import SANITIZED, STRICT, Comparison, Peer, build
 from tests.odd_profiles import CORE, NAMES, codec_of
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.vectors import wire
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 
 from dcp_codec import Codec, DecodeError
 from dcp_codec.export.rust.module import rust_module
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 from tests.odd_profiles import CORE, codec_of
 
 pytestmark = pytest.mark.tool("rustc")

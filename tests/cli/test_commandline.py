@@ -20,7 +20,7 @@ class Further(Apart):
     pass
 
 main = CommandLine(name="trial", package="trial", commands={"end-it": "End.", "broken": "Cannot be imported."},
-    about="Try.", exit_status="0 well.", failures={Apart: 4}, extras={"no_such_package": "all"}, fault_status=7)
+    about="Try.", exit_status="0 well.", failures={Apart: 4}, fault_status=7)
 """
 
 SUBCOMMAND = """
@@ -39,7 +39,7 @@ ENDS = {
     "expected-5": lambda: stop(ExpectedError("put the fuse in", 5)),
     "failure": lambda: stop(Further("no tester")),
     "fault": lambda: stop(KeyError("an unexpected fault")),
-    "absent": lambda: __import__("no_such_package.part"),
+    "absent": lambda: stop(ModuleNotFoundError("No module named scapy", name="scapy.all")),
     "interrupted": lambda: stop(KeyboardInterrupt()),
     "usage": lambda: stop(click.UsageError("not so")),
     "system": lambda: open("/nowhere/at/all"),
@@ -92,7 +92,12 @@ def trial(tmp_path: Path) -> Ends:
         ("expected", 2, "trial: put the fuse in\n"),
         ("expected-5", 5, "trial: put the fuse in\n"),
         ("failure", 4, "trial: no tester\n"),
-        ("absent", 2, "trial: no_such_package is not installed: pip install 'dcp-conformance-kit[all]'\n"),
+        (
+            "absent",
+            2,
+            "trial: scapy is not installed: pip install 'dcp-conformance-kit[scapy]', "
+            "in a clone of the kit pip install '.[scapy]'\n",
+        ),
         ("interrupted", 130, "\n"),
         ("system", 2, "trial: /nowhere/at/all: No such file or directory\n"),
     ],

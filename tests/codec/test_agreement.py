@@ -14,6 +14,7 @@ from typing import Any
 import construct as cs
 import msgspec
 import pytest
+from dcp_lab.testing import strategies
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.reasons import REASONS, WARNINGS
 from hypothesis import given, settings
@@ -21,7 +22,6 @@ from hypothesis import strategies as st
 
 from dcp_codec import Codec, DecodeError, Dissection, EncodeError, Problem, VarSumm
 from dcp_codec.plan.tree import Exact, Group, Many, Node, Region, Select
-from dcp_codec.testing import strategies
 from dcp_codec.views.dissect import dissect
 from dcp_codec.views.dissector import Doubt, generate_dissector
 from dcp_codec.views.lint import DOUBTS, warnings

@@ -6,6 +6,7 @@ from typing import Any
 
 import construct as cs
 import msgspec
+from dcp_lab.testing import strategies
 from dcp_spec.profile.definition import (
     RECORD_MEMBERS,
     BPLayout,
@@ -32,7 +33,6 @@ from hypothesis import strategies as st
 
 from dcp_codec import Codec, DecodeError
 from dcp_codec.jsonform import beacon_from_json, value_json
-from dcp_codec.testing import strategies
 
 from ..chance import examples
 

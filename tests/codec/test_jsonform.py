@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,7 +35,6 @@ from dcp_codec.jsonform import (
     problem_json,
     value_json,
 )
-from dcp_codec.testing import strategies
 
 from ..chance import examples
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
 
 from dcp_codec import Beacon, Codec, Container, DecodeError, EncodeError, Payload, Salvaged, VarSumm, get_codec
-from dcp_codec.testing import strategies
 from dcp_codec.views.fields import Field
 
 #: Dissecting takes its time, and there are many profiles; a long run still draws more than a short one.

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
@@ -24,7 +25,6 @@ from dcp_codec import (
     VarUpdate,
     get_codec,
 )
-from dcp_codec.testing import strategies
 
 from ..chance import examples
 

@@ -10,6 +10,7 @@ from dcp_conformance.check import Judge
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult, RunResult
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.sim.virtual.network import Network
 from dcp_spec.constants import features
 
 from dcp_codec import Codec
@@ -30,7 +31,6 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.sim.virtual.network import Network
 from dcp_stack.virtual.quality import PERFECT, Quality
 from dcp_stack.virtual.topology import Full, Topology
 

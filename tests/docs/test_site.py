@@ -89,7 +89,7 @@ def test_the_reference_of_commands_has_every_subcommand_and_option(pages):
     for line in COMMANDS:
         text = (pages / "reference" / f"{line.name}.md").read_text(encoding="utf-8")
         group = line.group()
-        for name in line.commands:
+        for name in line.subcommands:
             assert f"## `{line.name} {name}`" in text
             command = group.get_command(None, name)
             for option in getattr(command, "params", ()):

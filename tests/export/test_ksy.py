@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import yaml
+from dcp_lab.testing import strategies
 from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec import Codec, DecodeError, Field, get_codec
@@ -24,7 +25,6 @@ from dcp_codec.export.ksy import kaitai_struct
 from dcp_codec.export.wording import snake_name
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.plan.tree import Many, Text
-from dcp_codec.testing import strategies
 
 from ..odd_profiles import NAMES, codec_of
 from .beacons import RECORDINGS, drawn, everything, malformed

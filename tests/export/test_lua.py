@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dcp_lab.testing import strategies
 
 from dcp_codec import Codec, get_codec
 from dcp_codec.capture import create_capture, open_capture
 from dcp_codec.export.lua import wireshark_dissector
-from dcp_codec.testing import strategies
 
 from ..odd_profiles import NAMES
 from .beacons import RECORDINGS, drawn, everything, malformed

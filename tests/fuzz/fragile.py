@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.fuzz import Frame
-from dcp_conformance.fuzz.generate.samples import Samples
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
+from dcp_lab.fuzz import Frame
+from dcp_lab.fuzz.generate.samples import Samples
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
 from dcp_codec import Codec

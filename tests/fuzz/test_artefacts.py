@@ -8,20 +8,20 @@ import random
 import pytest
 from dcp_conformance.cli import main
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz import Call, Campaign, Effect, Frame, Wait, load, save
-from dcp_conformance.fuzz.findings.artefact import SavedTarget, codec_of, found_in, make_artefact
-from dcp_conformance.fuzz.findings.cases import artefact_cases
-from dcp_conformance.fuzz.findings.description import evidence_lines, headline, summary_lines
-from dcp_conformance.fuzz.findings.replaying import judged, replay
-from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.reduce.causes import explained
-from dcp_conformance.fuzz.reduce.reduction import Finding
-from dcp_conformance.fuzz.steps import ROBUSTNESS
+from dcp_lab.fuzz import Call, Campaign, Effect, Frame, Wait, load, save
+from dcp_lab.fuzz.findings.artefact import SavedTarget, codec_of, found_in, make_artefact
+from dcp_lab.fuzz.findings.cases import artefact_cases
+from dcp_lab.fuzz.findings.description import evidence_lines, headline, summary_lines
+from dcp_lab.fuzz.findings.replaying import judged, replay
+from dcp_lab.fuzz.generate.samples import Samples
+from dcp_lab.fuzz.reduce.causes import explained
+from dcp_lab.fuzz.reduce.reduction import Finding
+from dcp_lab.fuzz.steps import ROBUSTNESS
+from dcp_lab.testing.mutation_values import valid_beacons
 from dcp_selftest.fuzz.targets import target_in_process
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
 from dcp_codec.capture import open_capture
-from dcp_codec.testing.mutation_values import valid_beacons
 from dcp_codec.values import Container, VarSumm
 
 CODEC = Codec("dcp-2.0")

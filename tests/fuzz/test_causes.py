@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.reduce.causes import cause_of
-from dcp_conformance.fuzz.reduce.reduction import Reduction
-from dcp_conformance.fuzz.steps import Call
+from dcp_lab.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.samples import Samples
+from dcp_lab.fuzz.reduce.causes import cause_of
+from dcp_lab.fuzz.reduce.reduction import Reduction
+from dcp_lab.fuzz.steps import Call
 
 from dcp_codec import Codec
 

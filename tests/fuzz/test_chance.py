@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-
-from dcp_codec.testing.draws import Draws
+from dcp_lab.testing.draws import Draws
 
 ENDS = (1, 2, 3, 4, 5, 7, 8, 9, 60, 255, 256, 257, 1 << 16, (1 << 32) - 1, 1 << 32, (1 << 64) + 1)
 

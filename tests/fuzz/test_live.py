@@ -9,21 +9,21 @@ import pytest
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.fuzz import Campaign, Frame, Limits, Wait
-from dcp_conformance.fuzz.execute.live import LiveTarget, NotAliveError
-from dcp_conformance.fuzz.execute.liveness import lifelessness
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.sequence_batches import Joined
-from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session
+from dcp_lab.fuzz import Campaign, Frame, Limits, Wait
+from dcp_lab.fuzz.execute.live import LiveTarget, NotAliveError
+from dcp_lab.fuzz.execute.liveness import lifelessness
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.sequence_batches import Joined
+from dcp_lab.fuzz.generate.sequences import Sequences
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.mutants.mutant import all_mutants
 
 from dcp_codec import Codec
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_stack.node import Node
 
 CODEC = Codec("dcp-2.0")

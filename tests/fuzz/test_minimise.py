@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import random
 
-from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.reduce.anomalies import anomalies
+from dcp_lab.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.samples import Samples
+from dcp_lab.fuzz.reduce.anomalies import anomalies
+from dcp_lab.testing.mutation_values import valid_beacons
 
 from dcp_codec import Codec
-from dcp_codec.testing.mutation_values import valid_beacons
 
 CODEC = Codec("dcp-2.0")
 

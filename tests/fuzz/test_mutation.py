@@ -5,10 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
+from dcp_lab.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
+from dcp_lab.testing.mutation_values import ValidValues, valid_beacons
 
 from dcp_codec import Codec, DecodeError
-from dcp_codec.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
-from dcp_codec.testing.mutation_values import ValidValues, valid_beacons
 
 from ..odd_profiles import BUILT_IN, codec_of
 from ..parts import every

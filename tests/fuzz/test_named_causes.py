@@ -5,16 +5,15 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_conformance.fuzz import Campaign, Frame, Limits
-from dcp_conformance.fuzz.execute.live import LiveTarget
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.generate.sequence_batches import Batches
-from dcp_conformance.fuzz.generate.sequences import Sequences
-from dcp_conformance.fuzz.generate.sweep import SweepFirst
+from dcp_lab.fuzz import Campaign, Frame, Limits
+from dcp_lab.fuzz.execute.live import LiveTarget
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.samples import Samples
+from dcp_lab.fuzz.generate.sequence_batches import Batches
+from dcp_lab.fuzz.generate.sequences import Sequences
+from dcp_lab.fuzz.generate.sweep import SweepFirst
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.mutants import all_mutants
-
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 from ..parts import every
 from .fragile import CODEC, FAULTS, make_of, mixed, opened

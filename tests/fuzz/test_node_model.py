@@ -7,8 +7,6 @@ from typing import Any, ClassVar, Final
 import msgspec
 import pytest
 from dcp_conformance.frames.sampling import sampler
-from dcp_conformance.fuzz.findings.artefact import load, save
-from dcp_conformance.fuzz.findings.counterexample import artefact_of, steps_of
 from dcp_conformance.oracle.judgement import MS, Timing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.stateful.corpus import corpus
@@ -31,6 +29,8 @@ from dcp_conformance.stateful.steps import (
     text,
 )
 from dcp_conformance.stateful.virtual import VirtualExecutor
+from dcp_lab.fuzz.findings.artefact import load, save
+from dcp_lab.fuzz.findings.counterexample import artefact_of, steps_of
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import maker, node_with
 from dcp_selftest.mutants.vardis.queue_order import FaultySenderIgnored

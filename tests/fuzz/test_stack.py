@@ -6,15 +6,15 @@ import random
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz import Campaign, Frame, Limits, Wait
-from dcp_conformance.fuzz.execute.stack import StackTarget
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.sequence_batches import Joined
-from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_lab.fuzz import Campaign, Frame, Limits, Wait
+from dcp_lab.fuzz.execute.stack import StackTarget
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.sequence_batches import Joined
+from dcp_lab.fuzz.generate.sequences import Sequences
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.fuzz.targets import stack_target
 
 from dcp_codec import Codec
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_stack.node import Node
 
 from ..parts import also

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import Phase, find, settings
 from hypothesis import strategies as st
 
 from dcp_codec import Codec
-from dcp_codec.testing import strategies
 from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarDelete, VarSumm
 
 from ..parts import also, every

@@ -6,19 +6,19 @@ import random
 
 import msgspec
 import pytest
-from dcp_conformance.fuzz import Frame
-from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.generate.sequence_batches import Batches
-from dcp_conformance.fuzz.generate.sweep import Sweep, SweepFirst
-from dcp_conformance.fuzz.reduce.anatomy import Anatomy
-from dcp_conformance.fuzz.reduce.anomalies import anomalies, kinds_of
-from dcp_conformance.fuzz.reduce.repairs import Repairs
-from dcp_conformance.fuzz.reduce.shrinking import Shrinker
+from dcp_lab.fuzz import Frame
+from dcp_lab.fuzz.generate.samples import Samples
+from dcp_lab.fuzz.generate.sequence_batches import Batches
+from dcp_lab.fuzz.generate.sweep import Sweep, SweepFirst
+from dcp_lab.fuzz.reduce.anatomy import Anatomy
+from dcp_lab.fuzz.reduce.anomalies import anomalies, kinds_of
+from dcp_lab.fuzz.reduce.repairs import Repairs
+from dcp_lab.fuzz.reduce.shrinking import Shrinker
+from dcp_lab.testing.mutation import Mutator, drawn_pool
+from dcp_lab.testing.mutation_values import valid_beacons
 from dcp_spec.reasons import REASONS
 
 from dcp_codec import Codec
-from dcp_codec.testing.mutation import Mutator, drawn_pool
-from dcp_codec.testing.mutation_values import valid_beacons
 
 from ..odd_profiles import BUILT_IN
 from ..parts import every

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from dcp_conformance.fuzz.execute.time_limit import TimeLimit, TimeLimitExceeded
+from dcp_lab.fuzz.execute.time_limit import TimeLimit, TimeLimitExceeded
 
 
 def forever():

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.target import TargetOptions, open_target
-from dcp_conformance.fuzz import Frame
-from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.fuzz import Frame
+from dcp_lab.fuzz.execute.live import LiveTarget
 
 from ..ports import own_port
 from ..waiting import PATIENCE, eventually

@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import PAIR, all_tests
-from dcp_conformance.interop.implementations import Implementation, built_in
-from dcp_conformance.interop.nodes.real import RealWorld
-from dcp_conformance.interop.results import CellResult
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop.cell import Cell, run_cell
+from dcp_lab.interop.definition import PAIR, all_tests
+from dcp_lab.interop.implementations import Implementation, built_in
+from dcp_lab.interop.nodes.real import RealWorld
+from dcp_lab.interop.results import CellResult
+from dcp_lab.sim.testbed import namespaces
 
 from dcp_codec.capture import open_capture
-from dcp_stack.sim.testbed import namespaces
 
 from ..waiting import eventually
 

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from dcp_conformance.interop.workers.pool import _END
-
-from dcp_stack.sim.testbed import namespaces
+from dcp_lab.interop.workers.pool import _END
+from dcp_lab.sim.testbed import namespaces
 
 from ..waiting import PATIENCE, eventually
 

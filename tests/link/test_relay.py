@@ -13,15 +13,15 @@ from pathlib import Path
 from statistics import median
 
 import pytest
+from dcp_lab.relay import RelayError, RelayFabric
+from dcp_lab.relay.control import RelayProcess
+from dcp_lab.relay.messages import Setup
+from dcp_lab.sim.testbed import namespaces
+from dcp_lab.sim.testbed.place import INTERFACE
 
 from dcp_codec.capture import open_capture
 from dcp_codec.impairment import Impairment, parse_impairment
 from dcp_codec.network.namespaces import batch
-from dcp_stack.relay import RelayError, RelayFabric
-from dcp_stack.relay.control import RelayProcess
-from dcp_stack.relay.messages import Setup
-from dcp_stack.sim.testbed import namespaces
-from dcp_stack.sim.testbed.place import INTERFACE
 
 from ..waiting import eventually
 

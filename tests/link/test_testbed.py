@@ -18,15 +18,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from dcp_lab.sim.scenario.definition import LinkQuality, ScenarioError
+from dcp_lab.sim.scenario.report import LATE, SLOW_START
+from dcp_lab.sim.testbed import namespaces
+from dcp_lab.sim.testbed.fabric import chance, netem_options
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
 from dcp_codec.network.namespaces import enter_command
 from dcp_codec.network.sockets import ETHERNET_HEADER
-from dcp_stack.sim.scenario.definition import LinkQuality, ScenarioError
-from dcp_stack.sim.scenario.report import LATE, SLOW_START
-from dcp_stack.sim.testbed import namespaces
-from dcp_stack.sim.testbed.fabric import chance, netem_options
 
 from ..waiting import PATIENCE, eventually
 

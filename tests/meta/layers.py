@@ -21,6 +21,8 @@ PACKAGES = {
     "dcp_codec": ".",
     "dcp_stack": ".",
     "dcp_conformance": "conformance",
+    "dcp_tables": "tables",
+    "dcp_lab": "lab",
     "dcp_selftest": "selftest",
 }
 _BEGIN, _END = "<!-- layers: made by tests/meta/layers.py -->", "<!-- end of layers -->"

@@ -29,7 +29,7 @@ import pytest
 from dcp_selftest.generated import sites
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")
+PACKAGES = ("spec", "dcp_codec", "dcp_stack", "conformance", "lab", "tables")
 PARTS = ("core", "suite", "tools", "tables", "links")
 #: Module of a clone that appends the number of a change and the present test to a file, each pair once a process.
 HITS = """

@@ -24,6 +24,8 @@ FOLDERS = (
     "dcp_codec",
     "dcp_stack",
     "conformance/dcp_conformance",
+    "lab/dcp_lab",
+    "tables/dcp_tables",
     "selftest/dcp_selftest",
     "tests",
     "tools",

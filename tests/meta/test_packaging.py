@@ -39,6 +39,19 @@ def test_the_wheel_holds_exactly_four_packages(wheel):
     assert "dcp_selftest" not in "".join(wheel.values())
 
 
+@pytest.mark.parametrize(
+    ("folder", "needed"),
+    [
+        ("lab", {"dcp_lab/py.typed", "dcp_lab/interop/reporting/templates/interop.html"}),
+        ("tables", {"dcp_tables/py.typed", "dcp_tables/report/templates/report.html"}),
+    ],
+)
+def test_laboratory_and_tables_are_wheels_of_their_own(tmp_path, folder, needed):
+    wheel = built(ROOT / folder, tmp_path)
+    assert packages(wheel) == {f"dcp_{folder}"}
+    assert needed <= wheel.keys()
+
+
 def test_the_self_test_is_a_wheel_of_its_own(tmp_path):
     wheel = built(ROOT / "selftest", tmp_path)
     assert packages(wheel) == {"dcp_selftest"}

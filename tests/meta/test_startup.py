@@ -96,7 +96,7 @@ def test_help_imports_nothing_that_it_does_not_show(command: CommandLine):
     [modules] = imported(command.name, "--help")
     assert not modules & (HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"})
     without = HEAVY | SHOWING | MACHINES | (frozenset() if command.name == _WITH_SCHEMAS else SCHEMAS)
-    lines = [f"{name} --help" for name in command.commands]
+    lines = [f"{name} --help" for name in command.subcommands]
     for line, modules in zip(lines, imported(command.name, *lines), strict=True):
         assert not modules & without, line
 
@@ -109,7 +109,7 @@ def test_work_imports_nothing_that_it_does_not_need(line: str):
 
 
 def test_packages_export_all_listed_names():
-    packages = ("dcp_spec", "dcp_codec", "dcp_codec.table", "dcp_stack", "dcp_conformance")
+    packages = ("dcp_spec", "dcp_codec", "dcp_tables", "dcp_stack", "dcp_conformance", "dcp_lab")
     program = (
         "import importlib, sys\n"
         f"for package in {packages}:\n"

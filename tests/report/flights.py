@@ -7,10 +7,11 @@ from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
 
+from dcp_tables.report.recorded import Recorded, gather
+
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.framing.envelope import Envelope
-from dcp_codec.report.recorded import Recorded, gather
 from dcp_codec.values import (
     Beacon,
     BPHeader,

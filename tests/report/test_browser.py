@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from dcp_codec.report.chapter import chapter
-from dcp_codec.report.page import render
-from dcp_codec.report.recorded import gather
+from dcp_tables.report.chapter import chapter
+from dcp_tables.report.page import render
+from dcp_tables.report.recorded import gather
 
 from ..browser import Browser
 from .flights import CAPTURES

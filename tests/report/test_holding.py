@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dcp_tables.report import analysis
+from dcp_tables.report.chapter import chapter
+from dcp_tables.report.holding import Holding, Pair, Stale, holding, shares
+from dcp_tables.report.recorded import Recorded, gather
 
 from dcp_codec import get_codec
 from dcp_codec.analysis.entry import DELETED, UNKNOWN
 from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import Framing, locate
-from dcp_codec.report import analysis
-from dcp_codec.report.chapter import chapter
-from dcp_codec.report.holding import Holding, Pair, Stale, holding, shares
-from dcp_codec.report.recorded import Recorded, gather
 
 from .flights import CAPTURES, Sent, ask, create, delete, gathered, name, record, report, summary, update
 

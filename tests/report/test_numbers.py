@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from dcp_codec.report import analysis, variables
-from dcp_codec.report.plots import short_names
-from dcp_codec.report.recorded import gather
-from dcp_codec.report.series import extremes, ordinal, runs, seconds_text, short, unwrapped
+from dcp_tables.report import analysis, variables
+from dcp_tables.report.plots import short_names
+from dcp_tables.report.recorded import gather
+from dcp_tables.report.series import extremes, ordinal, runs, seconds_text, short, unwrapped
 
 from .flights import CAPTURES, OTHER, START, Payload, create, gathered, name, record, report, steady, update
 

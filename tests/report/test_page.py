@@ -16,17 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from bokeh.plotting import figure
+from dcp_tables.report import analysis, variables
+from dcp_tables.report.chapter import chapter
+from dcp_tables.report.chart import Plot, scale
+from dcp_tables.report.page import Chapter, render
+from dcp_tables.report.recorded import gather
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.cli import main
 from dcp_codec.common.pages.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
 from dcp_codec.framing.envelope import Envelope
-from dcp_codec.report import analysis, variables
-from dcp_codec.report.chapter import chapter
-from dcp_codec.report.chart import Plot, scale
-from dcp_codec.report.page import Chapter, render
-from dcp_codec.report.recorded import gather
 from dcp_codec.values import Beacon, BPHeader
 
 from .flights import (
@@ -479,11 +479,11 @@ def test_the_page_is_bounded(run, tmp_path):
 
 def test_missing_package_is_named(run, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    for module in [each for each in sys.modules if each.startswith(("dcp_codec.report.", "bokeh."))]:
+    for module in [each for each in sys.modules if each.startswith(("dcp_tables.report.", "bokeh."))]:
         monkeypatch.delitem(sys.modules, module)
     done = run(record(tmp_path / "a.pcap", []), "-o", tmp_path / "a.html")
     assert done.status == 2
-    assert "bokeh is not installed: pip install 'dcp-conformance-kit[report]'" in done.err
+    assert "bokeh is not installed: pip install 'dcp-conformance-tables[report]'" in done.err
 
 
 @pytest.mark.parametrize("from_zero", [False, True])

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from dcp_codec.report import analysis, reactions, variables
-from dcp_codec.report.chapter import chapter
-from dcp_codec.report.recorded import Recorded, gather
+from dcp_tables.report import analysis, reactions, variables
+from dcp_tables.report.chapter import chapter
+from dcp_tables.report.recorded import Recorded, gather
 
 from .flights import CAPTURES, OTHER, VARDIS, Container, Payload, Sent, create, gathered, name, record, update
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scapy.layers.l2 import Ether
@@ -21,7 +22,6 @@ from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan.tree import Scalar, Text
 from dcp_codec.scapy.layers import DCPBeacon, DCPPayload, Octets, use_profile
-from dcp_codec.testing import strategies
 from dcp_codec.views.dissect import Dissection
 from dcp_codec.views.dissect import Field as Found
 

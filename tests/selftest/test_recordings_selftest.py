@@ -6,9 +6,9 @@ from typing import Literal
 
 import pytest
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.reference.networks import NetworkSituation, Other, identifier, record
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.recordings import clean, faulty, situation
+from dcp_selftest.recordings.networks import NetworkSituation, Other, identifier, record
 from dcp_selftest.recordings.table import document
 
 from ..conformance.air import case_of, findings, judged

@@ -209,8 +209,8 @@ def forget() -> None:
 
 def _played(folder: Path) -> Any:
     """Play the scenario, and record it in ``folder``."""
-    from dcp_stack.sim.scenario.loading import load_scenario
-    from dcp_stack.sim.virtual.player import Simulation
+    from dcp_lab.sim.scenario.loading import load_scenario
+    from dcp_lab.sim.virtual.player import Simulation
 
     path = folder / "scenario.toml"
     path.write_text(SCENARIO, encoding="utf-8")
@@ -256,13 +256,13 @@ def fuzz(_folder: Path) -> dict[str, Any]:
     """A short campaign against our node, and the values of the field and the container that it sends."""
     import random
 
-    from dcp_conformance.fuzz import Campaign, Frame, Limits
-    from dcp_conformance.fuzz.execute.stack import StackTarget
-    from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.generate.sequences import Sequences
+    from dcp_lab.fuzz import Campaign, Frame, Limits
+    from dcp_lab.fuzz.execute.stack import StackTarget
+    from dcp_lab.fuzz.findings.artefact import SavedTarget
+    from dcp_lab.fuzz.generate.sequences import Sequences
+    from dcp_lab.testing.mutation import Mutator, drawn_pool
 
     from dcp_codec.codec import Codec
-    from dcp_codec.testing.mutation import Mutator, drawn_pool
 
     announce()
     target, rng = StackTarget(Codec("dcp-2.1")), random.Random(1)

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from dcp_tables import ColumnDecoder, Recording
+from dcp_tables.table.input.sources import packed
+from dcp_tables.table.kernel.compiled import cache_folder, compiled
+from dcp_tables.table.kernel.jit import machine, options_of
+from dcp_tables.table.kernel.pools import Pool
+from dcp_tables.table.kernel.row_buffer import MOVED, OF_A_FRAME
+from dcp_tables.table.kernel.shape import Shape
+from dcp_tables.table.parquet_output import ParquetTable
 from numba import njit
 from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
 from dcp_codec.common.atomic_write import write_whole
-from dcp_codec.table import ColumnDecoder, Recording
-from dcp_codec.table.input.sources import packed
-from dcp_codec.table.kernel.compiled import cache_folder, compiled
-from dcp_codec.table.kernel.jit import machine, options_of
-from dcp_codec.table.kernel.pools import Pool
-from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
-from dcp_codec.table.kernel.shape import Shape
-from dcp_codec.table.parquet_output import ParquetTable
 
 pytestmark = pytest.mark.part("tables")
 
@@ -136,7 +136,7 @@ def test_malformed_frames_are_judged_by_the_strict_decoder():
 
 _MEMORY = """
 import resource, sys
-from dcp_codec.table import ColumnDecoder, Recording
+from dcp_tables import ColumnDecoder, Recording
 from dcp_codec import get_codec
 decoder, rows = ColumnDecoder(get_codec("cpp-2.0")), 0
 with Recording(sys.argv[1], walk=True) as source:
@@ -192,7 +192,7 @@ def test_waiting_rows_do_not_keep_whole_batches(tmp_path):
 # The layout of beacons without what is in their payloads is compiled quickly.
 _PROGRAM = """
 import sys
-from dcp_codec.table import ColumnDecoder, Recording
+from dcp_tables import ColumnDecoder, Recording
 from dcp_codec import Codec
 codec = Codec("cpp-2.0")
 codec.beacon_plan = codec.envelope_plan
@@ -229,8 +229,8 @@ def test_compiled_code_is_cached(tmp_path):
 _SEVERAL = """
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from dcp_codec.table.input import mcap_messages as messages, walkers
-from dcp_codec.table.kernel import jit
+from dcp_tables.table.input import mcap_messages as messages, walkers
+from dcp_tables.table.kernel import jit
 for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng):
     compiled = jit._compiled(function)
     assert isinstance(compiled, Dispatcher) and not isinstance(compiled._cache, NullCache)

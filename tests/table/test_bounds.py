@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_spec.constants import ICType
+from dcp_tables import ColumnDecoder
+from dcp_tables.table.input.sources import packed
+from dcp_tables.table.kernel.compiled import PLAIN, function_of
+from dcp_tables.table.kernel.generator import kernel_source
+from dcp_tables.table.kernel.row_buffer import MOVED, OF_A_FRAME
 
 from dcp_codec import Codec
 from dcp_codec.plan.layout import walk
 from dcp_codec.plan.tree import Group, Many, Scalar, Text
-from dcp_codec.table import ColumnDecoder
-from dcp_codec.table.input.sources import packed
-from dcp_codec.table.kernel.compiled import PLAIN, function_of
-from dcp_codec.table.kernel.generator import kernel_source
-from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
 from dcp_codec.values import VarReqCreate
 
 from .test_decoding import framed

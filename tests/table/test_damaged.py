@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dcp_tables.table.decoding import ColumnDecoder
+from dcp_tables.table.input.sources import packed
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSumm, get_codec
 from dcp_codec.capture import Frame
 from dcp_codec.framing.envelope import Envelope
-from dcp_codec.table.decoding import ColumnDecoder
-from dcp_codec.table.input.sources import packed
 
 pytestmark = pytest.mark.part("tables")
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dcp_lab.testing import strategies
 from dcp_spec.profile.definition import Profile
 from dcp_spec.profile.rules import contradictions
+from dcp_tables.table.decoding import ColumnDecoder
+from dcp_tables.table.input.sources import Recording, packed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec import Codec
 from dcp_codec.capture import Frame
-from dcp_codec.table.decoding import ColumnDecoder
-from dcp_codec.table.input.sources import Recording, packed
-from dcp_codec.testing import strategies
 
 from ..chance import examples
 from ..codec.test_any_profile import profiles

@@ -10,16 +10,16 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 import pytest
+from dcp_tables import ColumnDecoder
+from dcp_tables.report.analysis import time_of
+from dcp_tables.report.holding import holding
+from dcp_tables.report.recorded import gather
+from dcp_tables.table.holdings import HOLDINGS_SCHEMA
+from dcp_tables.table.kernel.shape import HOLDINGS
 
 from dcp_codec import get_codec
 from dcp_codec.capture import create_capture
 from dcp_codec.cli import main
-from dcp_codec.report.analysis import time_of
-from dcp_codec.report.holding import holding
-from dcp_codec.report.recorded import gather
-from dcp_codec.table import ColumnDecoder
-from dcp_codec.table.holdings import HOLDINGS_SCHEMA
-from dcp_codec.table.kernel.shape import HOLDINGS
 
 pytestmark = pytest.mark.part("tables")
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dcp_tables.table.archive import Order, make
+from dcp_tables.table.decoding import LITTLE, worth_compiling
+from dcp_tables.table.kernel.jit import COMPILING
 from pyarrow import parquet
 
 from dcp_codec.capture import convert, create_capture, open_capture
-from dcp_codec.table.archive import Order, make
-from dcp_codec.table.decoding import LITTLE, worth_compiling
-from dcp_codec.table.kernel.jit import COMPILING
 
 pytestmark = pytest.mark.part("tables")
 
@@ -71,7 +71,7 @@ def test_a_small_recording_needs_no_machine_code(tmp_path):
 def test_the_tables_are_the_same(tmp_path, monkeypatch):
     orders = [Order((str(A_BUS),), tmp_path / name, "parquet") for name in ("plain", "compiled")]
     (plain,) = make(orders[0])
-    monkeypatch.setattr("dcp_codec.table.decoding.LITTLE", 0)
+    monkeypatch.setattr("dcp_tables.table.decoding.LITTLE", 0)
     (compiled,) = make(orders[1])
     assert plain.rows == compiled.rows
     for name in plain.rows:
@@ -103,7 +103,7 @@ def test_compiling_in_processes_is_announced_once(tmp_path, long_recording):
 def test_a_missing_duckdb_is_reported_before_decoding(tmp_path, long_recording):
     done = without({"duckdb", "numba"}, tmp_path / "cache", "table", long_recording, "--out", tmp_path / "a.duckdb")
     assert done.returncode == 2
-    assert "duckdb is not installed: pip install 'dcp-conformance-kit[duckdb]'" in done.stderr
+    assert "duckdb is not installed: pip install 'dcp-conformance-tables[duckdb]'" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 

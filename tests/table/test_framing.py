@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from dcp_spec.profile.definition import Link
+from dcp_tables.table.kernel import native
+from dcp_tables.table.kernel.jit import machine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec.framing.locate import OtherTraffic, locate
-from dcp_codec.table.kernel import native
-from dcp_codec.table.kernel.jit import machine
 
 from ..chance import examples
 

@@ -19,14 +19,14 @@ from typing import Any, NamedTuple
 import duckdb
 import pyarrow as pa
 import pytest
+from dcp_tables import TABLES, open_table
+from dcp_tables.table.archive import Order, make
+from dcp_tables.table.job import TableError
 from pyarrow import parquet
 
-from dcp_codec import get_codec, open_table
+from dcp_codec import get_codec
 from dcp_codec.capture import convert
 from dcp_codec.cli import main
-from dcp_codec.table import TABLES
-from dcp_codec.table.archive import Order, make
-from dcp_codec.table.job import TableError
 
 pytestmark = pytest.mark.part("tables")
 
@@ -152,7 +152,7 @@ def test_one_table_in_one_file(run, tmp_path, suffix, expected):
 
 
 def test_octets_as_text_without_octets():
-    from dcp_codec.table.writing import hexadecimal
+    from dcp_tables.table.writing import hexadecimal
 
     values = [b"\x00\xff", None, b"", b"abc", None]
     for array in (pa.array(values, pa.binary()), pa.array([b"x", *values], pa.binary())[1:], pa.array([], pa.binary())):
@@ -200,7 +200,7 @@ def test_a_folder(run, archive, tmp_path, reference, frames_of, rows, differ):
 
 
 def test_processes_are_started_for_much_data_only(archive, tmp_path):
-    from dcp_codec.cli.table import workers
+    from dcp_tables.cli.table import workers
 
     cores = len(os.sched_getaffinity(0))
     small = [str(archive / "1.pcap"), str(archive / "2.pcapng")]
@@ -367,17 +367,17 @@ def test_a_full_disk_is_reported(run, tmp_path):
 
 @pytest.mark.parametrize("package", ["numba", "pyarrow", "duckdb", "distributed"])
 def test_a_missing_package_is_named(run, tmp_path, monkeypatch, package):
-    for name in [name for name in sys.modules if name.startswith("dcp_codec.table.") or name == "dcp_codec.cli.table"]:
+    for name in [name for name in sys.modules if name.startswith(("dcp_tables.table.", "dcp_tables.cli.table"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     if package == "numba":
         # Small recordings are decoded without it.
-        monkeypatch.setattr(importlib.import_module("dcp_codec.table.decoding"), "LITTLE", 0)
-    extra = {"duckdb": "duckdb", "distributed": "dask"}.get(package, "table")
+        monkeypatch.setattr(importlib.import_module("dcp_tables.table.decoding"), "LITTLE", 0)
+    extra = {"duckdb": "[duckdb]", "distributed": "[dask]"}.get(package, "")
     engine = "dask" if package == "distributed" else "local"
     result = run(C_LATEJOIN, "-o", tmp_path / "x.duckdb", "--engine", engine)
     assert result.status == 2
-    assert f"pip install 'dcp-conformance-kit[{extra}]'" in result.err
+    assert f"pip install 'dcp-conformance-tables{extra}'" in result.err
     nothing_else(tmp_path)
 
 

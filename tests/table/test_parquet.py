@@ -12,14 +12,13 @@ import pandas
 import polars
 import pyarrow as pa
 import pytest
+from dcp_tables import TABLES, open_table
+from dcp_tables.table import archive, parquet_output
+from dcp_tables.table.archive import Order, make
+from dcp_tables.table.input import sources
+from dcp_tables.table.job import TableError
+from dcp_tables.table.parquet_output import ParquetTable
 from pyarrow import parquet
-
-from dcp_codec import open_table
-from dcp_codec.table import TABLES, archive, parquet_output
-from dcp_codec.table.archive import Order, make
-from dcp_codec.table.input import sources
-from dcp_codec.table.job import TableError
-from dcp_codec.table.parquet_output import ParquetTable
 
 pytestmark = pytest.mark.part("tables")
 

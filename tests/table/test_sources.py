@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dcp_tables import Recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -16,7 +17,6 @@ from mcap.writer import Writer
 from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
 from dcp_codec.capture.mcap import raw_frame as rawframe
 from dcp_codec.capture.mcap.reader import RECORD_HEAD
-from dcp_codec.table import Recording
 
 from ..capture import test_pcapng as pcapng
 from ..capture import test_properties as properties

@@ -11,17 +11,17 @@ from functools import cache
 from pathlib import Path
 
 import msgspec
+from dcp_lab.explore.hazards import hazard_of
+from dcp_lab.explore.proposals import PROPOSALS
+from dcp_lab.explore.search import Result, Search, Violation
+from dcp_lab.explore.space import Space
+from dcp_lab.explore.trace import chart, trace
+from dcp_lab.explore.trace import table as steps
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.constants import SpecVersion
 from dcp_spec.markdown import table
 
 from dcp_stack.config import VardisConfig
-from dcp_stack.explore.hazards import hazard_of
-from dcp_stack.explore.proposals import PROPOSALS
-from dcp_stack.explore.search import Result, Search, Violation
-from dcp_stack.explore.space import Space
-from dcp_stack.explore.trace import chart, trace
-from dcp_stack.explore.trace import table as steps
 from dcp_stack.record_sizes import RecordSizes
 
 PAGE = Path(__file__).parents[2] / "docs" / "hazards.md"

@@ -31,7 +31,7 @@ def write(line: CommandLine, folder: Path) -> None:
     """Write the pages of one command, the release of the kit in their footer."""
     group = line.group()
     eager(group, line.about)
-    for name, short in line.commands.items():
+    for name, short in line.subcommands.items():
         group.commands[name].short_help = short
     write_man_pages(line.name, group, version=__version__, target_dir=str(folder))
 

@@ -1,4 +1,4 @@
-"""Generate the reference of the public Python interface: the names in ``__all__`` of the four packages."""
+"""Generate the reference of the public Python interface: the names in ``__all__`` of the packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import griffe
 
 from .markdown import code, page
 
-PACKAGES = ("dcp_codec", "dcp_stack", "dcp_conformance", "dcp_spec")
+PACKAGES = ("dcp_codec", "dcp_stack", "dcp_conformance", "dcp_tables", "dcp_spec")
 
 
 def python_page(root: Path) -> str:

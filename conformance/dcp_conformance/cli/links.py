@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
@@ -12,6 +13,9 @@ from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
     from dcp_conformance.check.topology import Topology
+
+#: Group of entry points with functions that return the links in a file, by the kind of the file.
+READERS: Final = "dcp_conformance.topologies"
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -47,24 +51,10 @@ def links_of(hears: tuple[str, ...], topology: Path | None) -> Topology | None:
 
 
 def _of_scenario(path: Path) -> Topology:
-    """Return the links of a scenario, at any time of it. Raises :class:`UsageError`."""
-    from dcp_codec.codec import Codec
-    from dcp_conformance.check.base import name
-    from dcp_conformance.check.topology import Topology
-    from dcp_stack.sim.scenario.definition import ScenarioError
-    from dcp_stack.sim.scenario.loading import load_scenario
-    from dcp_stack.virtual.world import node_id
+    """Return the links of a scenario, which the laboratory can read. Raises :class:`UsageError`."""
+    from dcp_codec.common.extras import advice
 
-    try:
-        scenario = load_scenario(path)
-    except ScenarioError as error:
-        raise UsageError(str(error)) from None
-    if scenario.topology.kind == "positions" and scenario.tracks:
-        raise UsageError(f"{path}: its nodes move, so their links change: omit --topology")
-    profile = Codec(scenario.profile).profile
-    names = [name(node_id(profile, index)) for index in range(scenario.nodes)]
-    hears: dict[str, set[str]] = {each: set() for each in names}
-    for one, two in scenario.topology.pairs(scenario.nodes):
-        hears[names[one]].add(names[two])
-        hears[names[two]].add(names[one])
-    return Topology(hears, str(path))
+    for entry in entry_points(group=READERS, name="scenario"):
+        links: Topology = entry.load()(path)
+        return links
+    raise UsageError(f"{path} is a scenario: {advice('dcp_lab')}")

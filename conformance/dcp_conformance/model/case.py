@@ -38,7 +38,7 @@ if sys.flags.optimize > 1:
 
 CASES: Final = "dcp_conformance.suite"
 #: The module that makes cases of findings of the fuzzer.
-ARTEFACT_CASES: Final = "dcp_conformance.fuzz.findings.cases"
+ARTEFACT_CASES: Final = "dcp_lab.fuzz.findings.cases"
 DECLARED: Final = "TC_DCP_PROF_BV_01"
 """The case about what the wire profile itself declares as not met."""
 DENIED: Final = "TC_DCP_PICS_BV_01"

@@ -31,6 +31,5 @@ main = CommandLine(
     about="Test the DCP conformance kit itself. For those who change the kit.",
     exit_status="0 everything as expected; 1 not; 2 wrong usage; 4 a fault of the tester; 130 interrupted.",
     failures={ConformanceError: 2},
-    extras={"jinja2": "conformance"},
     fault_status=4,
 )

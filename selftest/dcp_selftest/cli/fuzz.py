@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.campaigns import campaign_options, material, profile_text, run_campaign, say_replayed, swept
 from dcp_conformance.errors import UsageError
+from dcp_lab.cli.campaigns import campaign_options, material, profile_text, run_campaign, say_replayed, swept
 
 from dcp_codec.common.commandline import PROFILE_HELP
 
 if TYPE_CHECKING:
-    from dcp_conformance.fuzz import Campaign
+    from dcp_lab.fuzz import Campaign
 
     from dcp_selftest.fuzz.worker import Make
 
@@ -101,8 +101,8 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
 @contextlib.contextmanager
 def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
     """Return the campaign of ``fuzz codec``; ``seed`` is that of a worker."""
-    from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.findings.artefact import SavedTarget
+    from dcp_lab.fuzz.campaign import Campaign
+    from dcp_lab.fuzz.findings.artefact import SavedTarget
 
     from dcp_selftest.fuzz.functions import FunctionInputs, FunctionTarget
 
@@ -145,10 +145,10 @@ def stack_command(**options: Any) -> int:
 @contextlib.contextmanager
 def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
     """Return the campaign of ``fuzz stack``; ``seed`` is that of a worker."""
-    from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.generate.sequences import Sequences
-    from dcp_conformance.fuzz.generate.sweep import SweepFirst
+    from dcp_lab.fuzz.campaign import Campaign
+    from dcp_lab.fuzz.findings.artefact import SavedTarget
+    from dcp_lab.fuzz.generate.sequences import Sequences
+    from dcp_lab.fuzz.generate.sweep import SweepFirst
 
     from dcp_selftest.fuzz.lifetimes import Lifetimes
     from dcp_selftest.fuzz.targets import stack_target
@@ -205,8 +205,8 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int) -> int:
 
     The result is fixed, failed, flaky or error. ARTEFACTS are files or folders.
     """
-    from dcp_conformance.fuzz.findings.artefact import found_in
-    from dcp_conformance.fuzz.findings.replaying import replay_all
+    from dcp_lab.fuzz.findings.artefact import found_in
+    from dcp_lab.fuzz.findings.replaying import replay_all
 
     from dcp_selftest.fuzz.targets import target_in_process
 

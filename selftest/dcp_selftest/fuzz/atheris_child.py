@@ -17,7 +17,7 @@ import msgspec
 #: Number of corpus entries whose layout is cached.
 _REMEMBERED = 512
 _LOOKED_AT = ("dcp_codec", "dcp_spec", "dcp_stack", "dcp_conformance.model.pics", "dcp_conformance.model.pics_file")
-_OURS = ("dcp_codec.testing.mutation", "dcp_codec.testing.mutation_values")
+_OURS = ("dcp_lab.testing.mutation", "dcp_lab.testing.mutation_values")
 
 
 class ChildSettings(msgspec.Struct, frozen=True):
@@ -36,8 +36,9 @@ def main(arguments: list[str]) -> None:
 
     # The code that makes inputs must not count as coverage.
     with atheris.instrument_imports(include=list(_LOOKED_AT), exclude=list(_OURS)):
+        from dcp_lab.testing.mutation import Mutator
+
         from dcp_codec.codec import Codec
-        from dcp_codec.testing.mutation import Mutator
 
         from .functions import FunctionTarget
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import msgspec
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz.campaign import Campaign, Limits
-from dcp_conformance.fuzz.reduce.reduction import not_minimised
-from dcp_conformance.fuzz.steps import Effect, Frame, Step
+from dcp_lab.fuzz.campaign import Campaign, Limits
+from dcp_lab.fuzz.reduce.reduction import not_minimised
+from dcp_lab.fuzz.steps import Effect, Frame, Step
 
 from .atheris_child import ChildSettings
 

@@ -14,17 +14,17 @@ from typing import Final
 
 import msgspec
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz.execute.time_limit import TIME_LIMIT, TimeLimit, TimeLimitExceeded
-from dcp_conformance.fuzz.steps import Effect, EffectKind, Frame, Step
 from dcp_conformance.model.pics import load_pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_lab.fuzz.execute.time_limit import TIME_LIMIT, TimeLimit, TimeLimitExceeded
+from dcp_lab.fuzz.steps import Effect, EffectKind, Frame, Step
+from dcp_lab.testing.mutation import Mutator
 from dcp_spec.profile.loading import ProfileError, load_profile, profile_names
 
 from dcp_codec.capture import CaptureError, create_capture, open_capture
 from dcp_codec.capture import Frame as Captured
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.testing.mutation import Mutator
 from dcp_selftest.fuzz.havoc import Havoc
 
 PARTS: Final = ("beacon", "capture", "control", "profile", "pics")
@@ -86,7 +86,7 @@ class FunctionTarget:
         self._folder.cleanup()
 
     def run(self, steps: list[Step]) -> Effect | None:
-        """See :class:`~dcp_conformance.fuzz.steps.Target`."""
+        """See :class:`~dcp_lab.fuzz.steps.Target`."""
         self._sut = None
         for at, step in enumerate(steps):
             if isinstance(step, Frame) and (effect := self.once(step.note or "beacon", step.octets, at)) is not None:

@@ -12,8 +12,8 @@ from types import CodeType, FrameType
 from typing import Any, Final
 
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz.campaign import Campaign
-from dcp_conformance.fuzz.steps import Effect, Step, Target
+from dcp_lab.fuzz.campaign import Campaign
+from dcp_lab.fuzz.steps import Effect, Step, Target
 
 #: Packages whose lines are counted. The file names of generated decoders contain the name of their package.
 _COUNTED: Final = ("dcp_codec", "dcp_stack")

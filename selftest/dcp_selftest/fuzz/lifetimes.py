@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from dcp_conformance.fuzz.generate.sequence_batches import UNHURRIED, Joined
-from dcp_conformance.fuzz.steps import Generator, Step, Wait
+from dcp_lab.fuzz.generate.sequence_batches import UNHURRIED, Joined
+from dcp_lab.fuzz.steps import Generator, Step, Wait
 
 #: Sequences for one node in this process. Making a node and checking that it is alive take half of the time of a
 #: sequence; seeded faults are found fastest with three to eight sequences (docs/fuzzing.md).

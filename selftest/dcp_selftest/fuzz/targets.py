@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz.execute.stack import StackTarget
-from dcp_conformance.fuzz.findings.artefact import Artefact, codec_of
-from dcp_conformance.fuzz.steps import Target
+from dcp_lab.fuzz.execute.stack import StackTarget
+from dcp_lab.fuzz.findings.artefact import Artefact, codec_of
+from dcp_lab.fuzz.steps import Target
 
 from dcp_codec.codec import Codec
 from dcp_selftest.mutants import ALL_MUTANTS

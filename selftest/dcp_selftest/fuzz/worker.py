@@ -22,14 +22,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.fuzz.campaign import Campaign, Limits, State
-from dcp_conformance.fuzz.generate.coverage import counter_of
-from dcp_conformance.fuzz.reduce.reduction import Finding
-from dcp_conformance.fuzz.steps import Effect, Step, Target
+from dcp_lab.fuzz.campaign import Campaign, Limits, State
+from dcp_lab.fuzz.generate.coverage import counter_of
+from dcp_lab.fuzz.reduce.reduction import Finding
+from dcp_lab.fuzz.steps import Effect, Step, Target
+from dcp_lab.testing.mutation import Touch
 
 from dcp_codec.common.child import ending_with_parent
 from dcp_codec.common.signals import Stop
-from dcp_codec.testing.mutation import Touch
 
 from .guidance import Guide, guide
 

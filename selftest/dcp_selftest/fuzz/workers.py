@@ -35,9 +35,9 @@ from multiprocessing.connection import Connection, wait
 from typing import Final
 
 from dcp_conformance.errors import WorkerError
-from dcp_conformance.fuzz.campaign import Campaign, Limits, Progress, State
-from dcp_conformance.fuzz.reduce.reduction import Finding, not_minimised
-from dcp_conformance.fuzz.steps import Effect, Step
+from dcp_lab.fuzz.campaign import Campaign, Limits, Progress, State
+from dcp_lab.fuzz.reduce.reduction import Finding, not_minimised
+from dcp_lab.fuzz.steps import Effect, Step
 
 from dcp_codec.common.signals import Stop
 from dcp_codec.common.workers import Worker

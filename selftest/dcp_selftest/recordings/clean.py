@@ -9,9 +9,9 @@ from typing import Final
 
 import msgspec
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import NetworkSituation, Other, record
 
 from dcp_codec.codec import Codec
+from dcp_selftest.recordings.networks import NetworkSituation, Other, record
 from dcp_selftest.runner import in_processes
 from dcp_selftest.variants import all_variants
 from dcp_selftest.variants.variant import Variant

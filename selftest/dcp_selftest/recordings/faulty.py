@@ -9,11 +9,11 @@ from typing import Final, Literal
 
 import msgspec
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import NetworkSituation, Other, record
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_selftest.mutants import Mutant, all_mutants
+from dcp_selftest.recordings.networks import NetworkSituation, Other, record
 from dcp_selftest.runner import in_processes
 
 from .judging import found, judged

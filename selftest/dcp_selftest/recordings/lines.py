@@ -8,12 +8,12 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 from dcp_conformance.reference.inprocess import MakeNode
-from dcp_conformance.reference.networks import MS, SECOND, MixedNetwork, Other, identifier
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.mutants.mutant import node_with
+from dcp_selftest.recordings.networks import MS, SECOND, MixedNetwork, Other, identifier
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.control.client import ServiceError
 from dcp_stack.vardis.receive import Receiver

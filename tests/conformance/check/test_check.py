@@ -17,12 +17,12 @@ from dcp_conformance.model.case import DECLARED
 from dcp_conformance.model.declared import declared_by
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.testing.strategies import beacons, mutations
 from dcp_spec.catalogue.requirements import requirements
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec.capture import Frame, create_capture, open_capture
-from dcp_codec.testing.strategies import beacons, mutations
 from dcp_codec.values import VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import BPConfig
 from dcp_stack.virtual.quality import Quality

@@ -6,10 +6,10 @@ import random
 
 import pytest
 from dcp_conformance.check.reception.links import Inference, Link, reacts, summary
-from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import all_tests
-from dcp_conformance.interop.implementations import built_in
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop.cell import Cell, run_cell
+from dcp_lab.interop.definition import all_tests
+from dcp_lab.interop.implementations import built_in
 
 A, B = 1, 2
 

@@ -17,16 +17,16 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import SECOND, NetworkSituation, record
 from dcp_selftest.recordings.lines import FAULTS, LINKS, NODES, PROFILE, recorded
+from dcp_selftest.recordings.networks import SECOND, NetworkSituation, record
+from dcp_tables.report.analysis import time_of
+from dcp_tables.report.chapter import chapter
+from dcp_tables.report.findings import read_findings
+from dcp_tables.report.holding import holding
+from dcp_tables.report.recorded import gather
 
 from dcp_codec.capture import create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.report.analysis import time_of
-from dcp_codec.report.chapter import chapter
-from dcp_codec.report.findings import read_findings
-from dcp_codec.report.holding import holding
-from dcp_codec.report.recorded import gather
 
 from ..air import Script
 

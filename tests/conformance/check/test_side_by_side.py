@@ -13,12 +13,12 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 from dcp_conformance.reporting.page import render
 from dcp_selftest.recordings.lines import recorded
+from dcp_tables.report.analysis import time_of
+from dcp_tables.report.holding import holding
+from dcp_tables.report.recorded import gather
 
 from dcp_codec.analysis.entry import DELETED
 from dcp_codec.capture import create_capture
-from dcp_codec.report.analysis import time_of
-from dcp_codec.report.holding import holding
-from dcp_codec.report.recorded import gather
 
 CAPTURES = Path(__file__).resolve().parents[3] / "captures"
 #: Name of a recording, and number of its stale states.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import all_tests
-from dcp_conformance.interop.implementations import built_in
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop.cell import Cell, run_cell
+from dcp_lab.interop.definition import all_tests
+from dcp_lab.interop.implementations import built_in
 
 
 def test_the_node_that_does_not_react_is_blamed_rather_than_the_sender() -> None:

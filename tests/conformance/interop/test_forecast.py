@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dcp_conformance.interop.definition import all_tests, select_tests
-from dcp_conformance.interop.implementations import resolve
-from dcp_conformance.interop.matrix import applicable, cells_of, forecast, in_order
+from dcp_lab.interop.definition import all_tests, select_tests
+from dcp_lab.interop.implementations import resolve
+from dcp_lab.interop.matrix import applicable, cells_of, forecast, in_order
 
 PAIR = resolve(["node:dcp-2.0"], {})
 

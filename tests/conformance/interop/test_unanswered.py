@@ -6,12 +6,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.interop import matrix
-from dcp_conformance.interop.cell import Cell
-from dcp_conformance.interop.definition import all_tests
-from dcp_conformance.interop.implementations import built_in
-from dcp_conformance.interop.nodes.processes import Station
 from dcp_conformance.upper_tester import Answer
+from dcp_lab.interop import matrix
+from dcp_lab.interop.cell import Cell
+from dcp_lab.interop.definition import all_tests
+from dcp_lab.interop.implementations import built_in
+from dcp_lab.interop.nodes.processes import Station
 
 
 class Hanging:

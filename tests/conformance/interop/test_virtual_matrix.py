@@ -11,17 +11,17 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.interop import implementations
-from dcp_conformance.interop.bounds import attempts
-from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import GRID_8, LINE_5, PAIR, all_tests, network_test
-from dcp_conformance.interop.implementations import BUILT_IN, built_in, load_description, virtual_setup
-from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
-from dcp_conformance.interop.nodes.virtual import VirtualWorld
-from dcp_conformance.interop.reporting import load_matrix, write_reports
-from dcp_conformance.interop.results import CellResult
-from dcp_conformance.interop.scene import MS, SECOND, Scene
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop import implementations
+from dcp_lab.interop.bounds import attempts
+from dcp_lab.interop.cell import Cell, run_cell
+from dcp_lab.interop.definition import GRID_8, LINE_5, PAIR, all_tests, network_test
+from dcp_lab.interop.implementations import BUILT_IN, built_in, load_description, virtual_setup
+from dcp_lab.interop.matrix import cells_of, parse_only, run_matrix
+from dcp_lab.interop.nodes.virtual import VirtualWorld
+from dcp_lab.interop.reporting import load_matrix, write_reports
+from dcp_lab.interop.results import CellResult
+from dcp_lab.interop.scene import MS, SECOND, Scene
 from dcp_selftest.interop import FAULTS, variants_to_try
 from dcp_selftest.variants.variant import all_variants
 

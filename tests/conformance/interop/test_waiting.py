@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.interop import cell as cells
-from dcp_conformance.interop.bounds import cycle_time, expected_time, spreading_time, time_through_outages
-from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import all_tests
-from dcp_conformance.interop.implementations import built_in, virtual_setup
-from dcp_conformance.interop.nodes.real import RealWorld
-from dcp_conformance.interop.nodes.virtual import VirtualWorld
-from dcp_conformance.interop.world import Limits
 from dcp_conformance.model.verdict import Verdict
+from dcp_lab.interop import cell as cells
+from dcp_lab.interop.bounds import cycle_time, expected_time, spreading_time, time_through_outages
+from dcp_lab.interop.cell import Cell, run_cell
+from dcp_lab.interop.definition import all_tests
+from dcp_lab.interop.implementations import built_in, virtual_setup
+from dcp_lab.interop.nodes.real import RealWorld
+from dcp_lab.interop.nodes.virtual import VirtualWorld
+from dcp_lab.interop.world import Limits
 
 from ...parts import every
 

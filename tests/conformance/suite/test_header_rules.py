@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import pytest
 from dcp_conformance.frames.header_rules import Violation, judge
+from dcp_lab.testing import strategies
 from dcp_spec.catalogue.requirements import requirements
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dcp_codec import Beacon, BPHeader, DecodeError, Payload, get_codec
-from dcp_codec.testing import strategies
 
 from ..rig import codec_of
 

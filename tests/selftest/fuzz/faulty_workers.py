@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz import Campaign, Effect, Step, Target
+from dcp_lab.fuzz import Campaign, Effect, Step, Target
 from dcp_selftest.cli.fuzz import stack_campaign
 
 

@@ -6,13 +6,13 @@ import random
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.model.pics import load_pics
+from dcp_lab.fuzz.steps import Frame
+from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.fuzz.functions import PARTS, FunctionInputs, FunctionTarget
 from dcp_selftest.fuzz.havoc import Havoc
 
 from dcp_codec import Codec
-from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 CODEC = Codec("dcp-2.0")
 

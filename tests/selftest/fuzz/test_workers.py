@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import WorkerError
-from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits
-from dcp_conformance.fuzz.campaign import State, read_state
-from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.generate.coverage import counter_of
+from dcp_lab.fuzz import Campaign, Effect, Frame, Limits
+from dcp_lab.fuzz.campaign import State, read_state
+from dcp_lab.fuzz.findings.artefact import SavedTarget
+from dcp_lab.fuzz.generate.coverage import counter_of
 from dcp_selftest.cli.fuzz import codec_campaign, stack_campaign
 from dcp_selftest.fuzz.worker import SLOT_SIZE, Order, Settings, Slot, Worker
 from dcp_selftest.fuzz.workers import run_in_workers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from dcp_lab.testing import strategies
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.reasons import REASONS
 from dcp_spec.status import BPStatus
@@ -11,7 +12,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from dcp_codec.codec import get_codec
-from dcp_codec.testing import strategies
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, PayloadReceived
 

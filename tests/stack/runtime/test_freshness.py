@@ -5,11 +5,11 @@ from __future__ import annotations
 import random
 
 import pytest
+from dcp_lab.sim.virtual.network import Network
 
 from dcp_codec.codec import get_codec
 from dcp_stack.config import BPConfig, VardisConfig
 from dcp_stack.effects import VariableChanged
-from dcp_stack.sim.virtual.network import Network
 from dcp_stack.virtual.topology import Line
 
 SECOND = 1_000_000_000

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_lab.sim.virtual.network import Network
 
 from dcp_codec import Codec
 from dcp_stack.config import BPConfig, VardisConfig
@@ -21,7 +22,6 @@ from dcp_stack.runtime.settings import (
     random_node_id,
     settings_text,
 )
-from dcp_stack.sim.virtual.network import Network
 
 FULL = """
 node_id = "02:00:00:00:00:01"

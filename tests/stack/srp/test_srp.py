@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 import pytest
+from dcp_lab.testing import strategies
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode
 from dcp_spec.parameters import UnknownParameterError, Violation
 from dcp_spec.status import BPStatus, SRPStatus
@@ -14,7 +15,6 @@ from hypothesis import strategies as st
 
 from dcp_codec.codec import get_codec
 from dcp_codec.errors import EncodeError
-from dcp_codec.testing import strategies
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.config import MS, NodeConfig, SRPConfig
 from dcp_stack.effects import Dropped, NeighbourExpired, NeighbourSeen

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 
 import pytest
+from dcp_lab.testing import strategies
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dcp_codec import get_codec
-from dcp_codec.testing import strategies
 from dcp_stack.effects import Dropped, VariableChanged
 
 from ...parts import every

@@ -1,0 +1,1 @@
+"""Experiments with many nodes and many inputs: simulator, testbed, explorer, networks of implementations, fuzzer."""

@@ -1,0 +1,1 @@
+"""Subcommands of ``dcp-node`` and ``dcp-conformance`` that come with the laboratory."""

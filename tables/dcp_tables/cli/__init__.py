@@ -1,0 +1,1 @@
+"""Subcommands of ``dcp-codec`` that come with the tables."""
