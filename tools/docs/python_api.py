@@ -15,7 +15,7 @@ PACKAGES = ("dcp_codec", "dcp_stack", "dcp_conformance", "dcp_tables", "dcp_spec
 
 def python_page(root: Path) -> str:
     """Return the page. ``root``: the repository; nothing is imported."""
-    loader = griffe.GriffeLoader(search_paths=[root, root / "spec", root / "conformance"])
+    loader = griffe.GriffeLoader(search_paths=[root, root / "spec", root / "conformance", root / "tables"])
     parts = ["Stable names, and for how long: [Stability](../stability.md). Times are integers in ns unless stated."]
     for name in PACKAGES:
         package = loader.load(name)
