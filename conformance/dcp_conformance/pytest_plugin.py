@@ -117,6 +117,7 @@ def _driver_of(config: pytest.Config) -> Driver:
         restart=option("--dcp-restart"),
     )
     try:
+        target = target.with_access()
         run = ConformanceRun(
             target,
             Selection(),

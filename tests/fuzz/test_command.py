@@ -25,7 +25,7 @@ def test_frames_are_sent_only_on_the_named_interface(mode):
 
 def test_a_dry_run_writes_the_frames(tmp_path):
     out = tmp_path / "frames.mcap"
-    done = fuzz("live", "--dry-run", "--interface", "none0", "--max-cases", "3", "--out", str(out))
+    done = fuzz("live", "--dry-run", str(out), "--interface", "none0", "--max-cases", "3")
     assert done.returncode == 0, done.stderr
     with open_capture(out) as reader:
         frames = list(reader)

@@ -7,7 +7,7 @@ import inspect
 import textwrap
 
 import msgspec
-from dcp_conformance.model.pics import Capabilities, Target, Testing
+from dcp_conformance.model.pics import Access, Capabilities, Target, Testing
 from msgspec import inspect as ms
 
 from .markdown import code, page, table
@@ -16,6 +16,11 @@ _EXAMPLE = """```toml
 [sut]
 name = "my-node"
 version = "1.4"
+
+[access]
+interface = "uwb0"
+ut = "unix:/run/my-node.sock"
+start = "build/my-node uwb0"
 
 [pics]
 multiple_payloads = true
@@ -38,6 +43,9 @@ def pics_page() -> str:
         _EXAMPLE,
         "## `[sut]`: which implementation this is",
         struct_table(Target),
+        "## `[access]`: how the tester reaches it",
+        "With this table, `run --pics FILE` needs no further options. An option of the same name replaces its value.",
+        struct_table(Access),
         "## `[pics]`: what it claims",
         "A capability that is left out is neither claimed nor denied: a case that needs it is reported as not "
         "applicable.",

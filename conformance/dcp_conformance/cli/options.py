@@ -85,20 +85,13 @@ def target_options(function: F) -> F:
                 "--pics",
                 type=click.Path(path_type=Path),
                 metavar="FILE",
-                help="TOML file with claims (PICS) and test parameters (PIXIT).",
+                help="TOML file: claims (PICS), test parameters (PIXIT), access to the implementation.",
             ),
             click.option("--start", metavar="COMMAND", help="Command that starts the implementation."),
-            click.option("--stop", metavar="COMMAND", help="Command that stops the implementation."),
             click.option(
                 "--restart", metavar="COMMAND", help="Command that restarts the implementation after a crash."
             ),
             click.option("--pid", type=int, metavar="PID", help="Process id of the implementation, to detect a crash."),
-            click.option(
-                "--start-timeout",
-                type=Factor(3600),
-                metavar="S",
-                help="Maximum time until the first answer after a start.  [default: 30; 8 after it opened the link]",
-            ),
             click.option(
                 "--beacon-period",
                 "beacon_period_ms",
@@ -121,7 +114,7 @@ def target_options(function: F) -> F:
 #: Sections of the help of commands that have :func:`target_options`; the names are those of ``TargetOptions``.
 TARGET_SECTIONS = {
     "Implementation": "interface link in_process profile ether_type ut pics",
-    "Process of the implementation": "start stop restart pid start_timeout",
+    "Process of the implementation": "start restart pid",
     "Times and random numbers": "beacon_period_ms timing_scale seed",
 }
 
@@ -165,11 +158,12 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 
 
 def target_of(options: dict[str, Any]) -> TargetOptions:
-    """Return the target given by the options of :func:`target_options`."""
+    """Return the target of :func:`target_options` and of the PICS file. Raises :class:`UsageError`."""
     # Lazy import: --help does not need the modules that open targets.
     from dcp_conformance.execution.target import TargetOptions
 
-    return TargetOptions(**{name: options[name] for names in TARGET_SECTIONS.values() for name in names.split()})
+    given = {name: options[name] for names in TARGET_SECTIONS.values() for name in names.split()}
+    return TargetOptions(**given).with_access()
 
 
 def selection_of(options: dict[str, Any]) -> Selection:

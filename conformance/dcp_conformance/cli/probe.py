@@ -46,12 +46,13 @@ def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | N
 
     Observed and reported values are filled in with the reason. Every other entry is a comment with a question for you.
     """
+    import msgspec
     from dcp_spec.profile.loading import profile_names
 
     from dcp_codec.codec import Codec
     from dcp_conformance.execution.target import describe, open_lower
     from dcp_conformance.interconnection.probe import draft
-    from dcp_conformance.model.pics import UNKNOWN_PROFILE
+    from dcp_conformance.model.pics import UNKNOWN_PROFILE, Access
     from dcp_conformance.model.pics_file import write_pics
     from dcp_conformance.upper_tester.opening import open_upper
 
@@ -80,7 +81,9 @@ def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | N
                 upper.close()
     finally:
         lower.close()
-    write_pics(pics, out, remarks)
+    # The draft also has the options of this command, so that a run needs only the file.
+    access = Access(**{name: getattr(target, name) for name in Access.__struct_fields__})
+    write_pics(msgspec.structs.replace(pics, access=access), out, remarks)
     if out is not None:
         for remark in remarks:
             say(remark, err=True)

@@ -59,10 +59,12 @@ class TargetOptions:
     pics: Path | None = None
     start: str | None = None
     stop: str | None = None
+    """Command that stops the implementation; only from the PICS file."""
     restart: str | None = None
     pid: int | None = None
     start_timeout: float | None = None
-    """Timeout of the first answer after a start in seconds; None: 30, or less if it opens the link but stays silent."""
+    """Timeout of the first answer after a start in seconds, from the PICS file; None: 30, or less if it opens the link
+    but stays silent."""
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
@@ -80,6 +82,17 @@ class TargetOptions:
         """Whether the implementation is not the reference node."""
         return self.interface is not None or self.link is not None
 
+    def with_access(self) -> TargetOptions:
+        """Return the options, completed by ``[access]`` of the PICS file. Raises :class:`UsageError`."""
+        if self.pics is None or self.in_process:
+            return self
+        access = {name: value for name, value in msgspec.structs.asdict(load_pics(self.pics).access).items() if value}
+        if self.foreign:
+            access |= {"interface": None, "link": None}
+        elif {"interface", "link"} <= access.keys():
+            raise UsageError(f"{self.pics}: access: give interface or link, not both")
+        return replace(self, **{name: value for name, value in access.items() if getattr(self, name) is None})
+
     def command_line(self) -> str:
         """Return the options as a command line without cases, for repeating a case."""
         import shlex
@@ -87,12 +100,10 @@ class TargetOptions:
         words = ["dcp-conformance", "run"]
         if self.in_process:
             words.append("--in-process")
-        for name in ("profile", "interface", "link", "ut", "pics", "start", "stop", "restart", "pid"):
+        for name in ("profile", "interface", "link", "ut", "pics", "start", "restart", "pid"):
             value = getattr(self, name)
             if value is not None:
                 words += [f"--{name}", str(value)]
-        if self.start_timeout is not None:
-            words += ["--start-timeout", exact(self.start_timeout)]
         if self.ether_type is not None:
             words += ["--ether-type", f"{self.ether_type:#06x}"]
         if self.beacon_period_ms is not None:

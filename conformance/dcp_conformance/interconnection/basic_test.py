@@ -238,7 +238,7 @@ class _Test:
         bench = self._bench
         where = "is it running, on this link, with this EtherType or port?"
         if bench.session.can_restart:
-            where += " (if it needs longer to start: --start-timeout)"
+            where += " (if it needs longer to start: access.start_timeout in the PICS file)"
         upper = bench.session.upper
         if self._trouble:
             return f"nothing was heard, and the upper tester does not answer ({self._trouble}): {where}"

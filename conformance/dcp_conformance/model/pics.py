@@ -131,10 +131,32 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise ValueError(f"node_id: {error}") from None
 
 
+class Access(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """How the tester reaches the implementation. An option of the same name on the command line replaces its value."""
+
+    interface: str | None = None
+    """Ethernet interface of the tester; or ``link``."""
+    link: str | None = None
+    """``udp[:GROUP[:PORT]]``."""
+    ether_type: Annotated[int, msgspec.Meta(ge=0x600, le=0xFFFF)] | None = None
+    """EtherType of the beacons, such as 0x4953, if not that of the profile."""
+    ut: str | None = None
+    """Upper tester: ``unix:PATH``, ``tcp:HOST:PORT``, ``exec:COMMAND``, ``commands:FILE``."""
+    start: str | None = None
+    """Command that starts the implementation."""
+    stop: str | None = None
+    """Command that stops it, if ending the started process is not enough."""
+    restart: str | None = None
+    """Command that restarts it after a crash."""
+    start_timeout: _Positive | None = None
+    """Seconds until the first answer after a start. None: 30, or 8 after it has opened a socket for the link."""
+
+
 class Pics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The whole file: ``[sut]``, ``[pics]``, ``[readings]`` and ``[pixit]``."""
+    """The whole file: ``[sut]``, ``[access]``, ``[pics]``, ``[readings]`` and ``[pixit]``."""
 
     sut: Target = Target()
+    access: Access = Access()
     pics: Capabilities = Capabilities()
     readings: dict[str, str] = {}
     """The readings of disputed text that the implementation claims to follow: identifier and name of the alternative.

@@ -20,6 +20,14 @@ QUESTIONS: Final[dict[str, str]] = {
     "sut.version": "Which version or commit of it is this?",
     "sut.vendor": "Who makes it?",
     "sut.notes": "Anything that readers of the report should know?",
+    "access.interface": "On which Ethernet interface does the tester reach it?",
+    "access.link": 'Or over which UDP group, as "udp:239.255.77.1:4953"?',
+    "access.ether_type": "Which EtherType do its beacons have, if not that of the profile?",
+    "access.ut": 'Where is its upper tester: "unix:PATH", "tcp:HOST:PORT", "exec:COMMAND" or "commands:FILE"?',
+    "access.start": "Which command starts it?",
+    "access.stop": "Which command stops it, if ending that process is not enough?",
+    "access.restart": "Which command restarts it after a crash?",
+    "access.start_timeout": "How many seconds may it need from a start to the first answer?",
     "pics.srp": "Does it have a State Reporting Protocol?",
     "pics.vardis": "Does it have a VarDis?",
     "pics.multiple_payloads": "May several payloads of one client share a beacon (BP-QM-08)?",
@@ -66,6 +74,7 @@ QUESTIONS: Final[dict[str, str]] = {
 }
 _TITLES = {
     "sut": "Which implementation this is about.",
+    "access": "How the tester reaches it: run --pics FILE needs no further options.",
     "pics": "Capabilities that it claims. A key that is not set denies nothing: cases that need it are not applicable.",
     "readings": 'Readings of disputed text that it follows, as X05 = "literal-minimum". A missing key claims nothing.',
     "pixit": "Information that the tester needs. A key that is not set has the value of the profile, or the one shown.",

@@ -57,7 +57,7 @@ class ProcessControl:
         Raises ``UsageError`` for commands that cannot be read and for a process that is not there.
         """
         self._start = split("--start", start) if isinstance(start, str) else start
-        self._stop = None if stop is None else split("--stop", stop)
+        self._stop = None if stop is None else split("access.stop", stop)
         self._restart = None if restart is None else split("--restart", restart)
         self._pidfile = None if pidfile is None else Path(pidfile)
         self._log = log
@@ -163,7 +163,7 @@ class ProcessControl:
 
     def _end(self) -> None:
         if self._stop is not None:
-            self._run("--stop", self._stop)
+            self._run("access.stop", self._stop)
         if self._process is not None:
             if self._stop is None:
                 # Held before a signal ends them.

@@ -34,6 +34,13 @@ SHOWN = ""
 _STOPPED = 130
 
 
+#: Sections of the help of commands that have :func:`campaign_options`.
+CAMPAIGN_SECTIONS = {
+    "Campaign": "max_time max_cases max_findings rate recording resume",
+    "Output": "artefacts coverage dry_run quiet",
+}
+
+
 def campaign_options(function: F) -> F:
     """Add the common options of campaigns: limits, rate, recordings, dry run, coverage and output."""
     return applied(
@@ -57,12 +64,11 @@ def campaign_options(function: F) -> F:
                 metavar="FILE",
                 help="Also mutate the frames of this recording.",
             ),
-            click.option("--dry-run", is_flag=True, help="Write the frames to --out instead of sending them."),
             click.option(
-                "--out",
+                "--dry-run",
                 type=click.Path(path_type=Path),
                 metavar="FILE",
-                help="With --dry-run: recording (.mcap, .pcap or .pcapng).",
+                help="Write the frames to a recording (.mcap, .pcap or .pcapng) instead of sending them.",
             ),
             click.option("--resume", is_flag=True, help="Continue the campaign in --artefacts."),
             click.option(
@@ -162,8 +168,6 @@ def run_campaign(campaign: Campaign, options: dict[str, Any], *, run: Callable[[
 
     if options["dry_run"]:
         return write_tests(campaign.codec, campaign.generator, options)
-    if options["out"] is not None:
-        raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
     campaign.directory = options["artefacts"]
     if options["resume"]:
         campaign.resume()
@@ -264,20 +268,18 @@ def _stopped_by_sigterm() -> Iterator[None]:
 
 
 def write_tests(codec: Codec, generator: Generator, options: dict[str, Any]) -> int:
-    """Write the frames of a generator's first tests to the file ``--out``, and send none. Return the exit status."""
+    """Write the frames of a generator's first tests to the file of ``--dry-run``. Return the exit status."""
     from dcp_codec.capture import CaptureError
     from dcp_lab.fuzz.findings.artefact import write_frames
 
-    if options["out"] is None:
-        raise UsageError("--dry-run writes the frames to a file: give --out FILE")
+    path = options["dry_run"]
     steps = [step for _ in range(options["max_cases"] or _DRY_RUN) for step in generator.draw()]
     metadata = {"dcp.fuzz": {"profile": codec.profile.name, "seed": str(options["seed"])}}
-    suffix = options["out"].suffix
     try:
-        frames = write_frames(options["out"], codec, steps, metadata if suffix == ".mcap" else {})
+        frames = write_frames(path, codec, steps, metadata if path.suffix == ".mcap" else {})
     except (CaptureError, OSError) as error:
-        raise UsageError(f"{options['out']}: {error}") from None
-    click.echo(f"{frames} frames written to {options['out']}; nothing was sent")
+        raise UsageError(f"{path}: {error}") from None
+    click.echo(f"{frames} frames written to {path}; nothing was sent")
     return 0
 
 

@@ -11,12 +11,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.options import target_of, target_options
+from dcp_conformance.cli.options import TARGET_SECTIONS, target_of, target_options
 from dcp_conformance.errors import UsageError
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import SectionedCommand, say
 
-from .campaigns import campaign_options, material, profile_text, run_campaign, say_replayed, swept, write_tests
+from .campaigns import (
+    CAMPAIGN_SECTIONS,
+    campaign_options,
+    material,
+    profile_text,
+    run_campaign,
+    say_replayed,
+    swept,
+    write_tests,
+)
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
@@ -108,7 +117,12 @@ _OWN_NODE = click.option("--own-node", is_flag=True, help="Start the reference n
 NOBODY = b"\x02\x00\x00\x00\x00\x01"
 
 
-@command.command("live", epilog=EXIT_STATUS)
+@command.command(
+    "live",
+    cls=SectionedCommand,
+    epilog=EXIT_STATUS,
+    sections=TARGET_SECTIONS | CAMPAIGN_SECTIONS | {"Campaign": f"own_node batch {CAMPAIGN_SECTIONS['Campaign']}"},
+)
 @target_options
 @_OWN_NODE
 @click.option(
@@ -130,7 +144,12 @@ def live_command(**options: Any) -> int:
     return _live(options)
 
 
-@command.command("model", epilog=EXIT_STATUS)
+@command.command(
+    "model",
+    cls=SectionedCommand,
+    epilog=EXIT_STATUS,
+    sections={**TARGET_SECTIONS, "Search": "own_node sequences steps database", "Output": "coverage artefacts"},
+)
 @target_options
 @_OWN_NODE
 @click.option(
@@ -168,6 +187,8 @@ def model_command(**options: Any) -> int:
 
 @command.command(
     "replay",
+    cls=SectionedCommand,
+    sections={**TARGET_SECTIONS, "Replay": "own_node attempts"},
     epilog="Exit status: 0 every finding is fixed; 1 a finding failed again, or is flaky; 2 wrong usage; 4 a finding "
     "could not be repeated, or a fault of the tester.",
 )

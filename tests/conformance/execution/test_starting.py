@@ -67,7 +67,7 @@ def test_the_reason_for_waiting_is_reported():
     assert START_PATIENCE <= sut.passed < START_PATIENCE + 2
     assert said == (
         "waiting for the implementation to start: its process runs, nothing heard on in process; "
-        "at most 26 s more (--start-timeout)"
+        "at most 26 s more (access.start_timeout)"
     )
 
 
@@ -100,10 +100,6 @@ def test_a_dead_implementation_is_not_waited_for():
     sut.died = "RuntimeError: a word"
     assert started(sut) == ("is dead again: RuntimeError: a word", [])
     assert sut.passed < 2
-
-
-def test_the_option_is_part_of_the_command_that_runs_a_case_again():
-    assert "--start-timeout 90" in TargetOptions(link="udp", start="x", start_timeout=90.0).command_line()
 
 
 # -- sockets -----------------------------------------------------------------------------------------------------------

@@ -417,7 +417,7 @@ def test_every_key_has_a_question_or_a_value():
     assert keys == set(QUESTIONS)
     for key in keys:
         assert f"# {QUESTIONS[key]}\n# {key.split('.')[1]} =" in text
-    assert tomllib.loads(text) == {"sut": {}, "pics": {}, "readings": {}, "pixit": {}}
+    assert tomllib.loads(text) == {"sut": {}, "access": {}, "pics": {}, "readings": {}, "pixit": {}}
 
 
 def test_a_written_file_reads_back(tmp_path, capsys):

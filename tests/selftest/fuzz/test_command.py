@@ -22,8 +22,7 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
         (("codec", "nothing"), "unknown part 'nothing'"),
         (("stack", "--mutant", "M-NOTHING"), "no mutant"),
         (("stack", "--profile", "none-such"), "none-such"),
-        (("stack", "--dry-run"), "--out FILE"),
-        (("stack", "--out", "x.mcap"), "--dry-run"),
+        (("stack", "--dry-run", "x.txt"), "x.txt: "),
         (("stack", "--resume"), "--artefacts DIR"),
         (("stack", "--resume", "--artefacts", "/nonexistent"), "no campaign"),
         (("stack", "--recording", "/nonexistent.mcap"), "/nonexistent.mcap"),
@@ -32,7 +31,7 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
         (("replay", "/nonexistent"), "/nonexistent"),
         (("stack", "--jobs", "0"), "0 is not in the range"),
         (("stack", "--jobs", "many"), "'many' is not a valid integer range"),
-        (("stack", "--jobs", "2", "--dry-run", "--out", "x.mcap"), "leave out --jobs"),
+        (("stack", "--jobs", "2", "--dry-run", "x.mcap"), "leave out --jobs"),
         (("codec", "--jobs", "2", "--engine", "atheris"), "leave out --jobs"),
     ],
 )
@@ -98,7 +97,7 @@ def test_coverage_is_written_with_missing_pairs(tmp_path):
 @pytest.mark.part("tools")
 def test_a_recording_and_lines_of_code_guide(tmp_path):
     out = tmp_path / "frames.mcap"
-    assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0
+    assert fuzz("stack", "--dry-run", str(out), "--max-cases", "20").returncode == 0
     done = fuzz("stack", "--guided", "--recording", str(out), "--max-cases", "30", "--coverage")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "lines of the target: " in done.stdout

@@ -299,7 +299,7 @@ class Life:
         left = max(0.0, self._start_timeout - passed)
         return (
             f"waiting for the implementation to start: {known}, {frames} heard on {bench.lower.name}; "
-            f"at most {left:.0f} s more (--start-timeout)"
+            f"at most {left:.0f} s more (access.start_timeout)"
         )
 
     def _await(self, case: Case, given_up: Callable[[Bench], str], questions: int = QUESTIONS) -> str:
