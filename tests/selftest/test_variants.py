@@ -55,7 +55,8 @@ def cases_about(method: str) -> list[Case]:
 def some_cases(*ids: str):
     """The sanity case and some others, a tenth of the suite without ``ids``."""
     known = known_cases()
-    listed = list(known.values())
+    # A case of the long plan sends 65,536 beacons: a minute for all modules, which the campaign spends, not this test.
+    listed = [each for each in known.values() if not each.long]
     picked = [known[name] for name in ids] if ids else [*listed[::10], *listed[3::40]]
     return ordered({SANITY: known[SANITY], **{each.id: each for each in picked}}.values())
 
