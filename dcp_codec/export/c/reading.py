@@ -42,12 +42,12 @@ class Reading(Functions):
         lengths = {
             f"n{number}_{index}": prefix
             for number, run in enumerate(runs, start=1)
-            if run.text is not None and isinstance(run.text.node, Text)
+            if run.text is not None
             for index, prefix in enumerate(run.text.node.prefixes, start=1)
         }
         for variable, prefix in lengths.items():
             self.add(f"    {'uint64_t' if prefix.size > 4 else 'uint32_t'} {variable};")
-        if any(run.text is not None and isinstance(run.text.node, Text) and run.text.node.terminated for run in runs):
+        if any(run.text is not None and run.text.node.terminated for run in runs):
             self.add("    size_t stop;")
         for number, run in enumerate(runs, start=1):
             self._run(record, run, number, marks)
@@ -61,7 +61,7 @@ class Reading(Functions):
             "{",
         )
         for number, run in enumerate(record.runs(), start=1):
-            if run.text is not None and isinstance(run.text.node, Text):
+            if run.text is not None:
                 for index, prefix in enumerate(run.text.node.prefixes, start=1):
                     self.add(f"    {'uint64_t' if prefix.size > 4 else 'uint32_t'} n{number}_{index};")
                 if run.text.node.terminated:
@@ -77,7 +77,6 @@ class Reading(Functions):
         place = 0
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             assert node.rule is None
             target = access(part.path)
             if run.text is not None and part.path[:-1] == run.text.path:
@@ -88,7 +87,6 @@ class Reading(Functions):
             self.add(f"    p += {place};")
         if run.text is None:
             return
-        assert isinstance(run.text.node, Text)
         text, stop = access(run.text.path), f"stop{number}"
         self.add(f"    {text}.data = p;")
         if not lengths:
@@ -120,7 +118,6 @@ class Reading(Functions):
         self.add(f"static const field_t {table}[] = {{")
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             rule, little = node.rule, "true" if node.order == "little" and node.size > 1 else "false"
             expected = "0" if rule is None or rule.value is None else f"0x{rule.value:x}"
             self.add(
@@ -131,27 +128,24 @@ class Reading(Functions):
         self.add("};")
 
     @staticmethod
-    def path(record: Record, part: Part) -> str:
+    def path(record: Record, part: Part[Scalar | Text]) -> str:
         return ".".join((*record.path, *part.path))
 
     def _run(self, record: Record, run: Run, number: int, marks: Mapping[str, str]) -> None:
         size, place, rules, offset = run.size, 0, [], ""
-        lengths: list[tuple[str, int, Part]] = []
+        lengths: list[tuple[str, int, Part[Scalar]]] = []
         if run.scalars:
             table = f"{stem(record.group)}_{number}"
             self.add(f"    if (r->end - r->at < {size}u)")
             self.add(f"        return cut_off(r, {table}, {len(run.scalars)}u);")
             self.add("    p = r->octets + r->at;")
-        inner = len(run.text.path) + 1 if run.text else 0
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             offset = f" + {place}u" if place else ""
             if part.path[-1] in marks and len(part.path) == 1:
                 self.add(f"    *{marks[part.path[-1]]} = r->at{offset};")
             value = self.scalars.read(node, place)
-            of_text = run.text is not None and len(part.path) == inner and part.path[:-1] == run.text.path
-            if of_text:
+            if run.text is not None and part.path[:-1] == run.text.path:
                 variable = f"n{number}_{len(lengths) + 1}"
                 lengths.append((variable, place, part))
                 self.add(f"    {variable} = {value};")
@@ -189,9 +183,8 @@ class Reading(Functions):
             self.add(f"    r->at += {size}u;")
         self._text(record, run.text, [variable for variable, *_ in lengths])
 
-    def _text(self, record: Record, part: Part, lengths: list[str]) -> None:
+    def _text(self, record: Record, part: Part[Text], lengths: list[str]) -> None:
         text, target = part.node, access(part.path)
-        assert isinstance(text, Text)
         name = self.path(record, part)
         if not lengths:
             self.add(
@@ -229,11 +222,11 @@ class Reading(Functions):
         """Return all reading functions."""
         shape = self.shape
         if shape.header is not None:
-            self.record(shape.header, self._header_marks())
+            self.record(shape.header, shape.header_marks)
         self.record(shape.payload, {shape.content.length: "length_at"})
         if shape.srp is not None:
             self.record(shape.srp)
-        self.record(shape.container, self._container_marks())
+        self.record(shape.container, shape.container_marks)
         for record in shape.all_records():
             self.record(record)
         self._beacon()
@@ -242,18 +235,6 @@ class Reading(Functions):
         self._containers()
         self._check()
         return "\n".join(self.lines)
-
-    def _header_marks(self) -> dict[str, str]:
-        marks = {"numPayloads": "count_at"}
-        if self.shape.region is not None:
-            marks[self.shape.region.length.rsplit(".", 1)[-1]] = "length_at"
-        return marks
-
-    def _container_marks(self) -> dict[str, str]:
-        marks = {"icType": "type_at"}
-        if self.shape.list_region is not None:
-            marks[self.shape.list_region.length] = "length_at"
-        return marks
 
     def _beacon(self) -> None:
         shape = self.shape
@@ -264,10 +245,10 @@ class Reading(Functions):
         )
         self.add("    reader_t r;")
         if shape.header is not None:
-            self.add(f"    size_t {', '.join(f'{place} = 0' for place in self._header_marks().values())};")
+            self.add(f"    size_t {', '.join(f'{place} = 0' for place in shape.header_marks.values())};")
         self.add("    begin(&r, octets, size, problem);")
         if shape.header is not None:
-            places = ", ".join(f"&{place}" for place in self._header_marks().values())
+            places = ", ".join(f"&{place}" for place in shape.header_marks.values())
             self.add(f"    if (!read_{stem(shape.header.group)}(&r, &beacon->bp, {places}))", "        return false;")
         if shape.region is not None:
             region = shape.region
@@ -419,7 +400,7 @@ class Reading(Functions):
                 "",
             )
         region, select = shape.list_region, shape.select
-        marks = self._container_marks()
+        marks = shape.container_marks
         self.add("/* Read a container and check all its records. */")
         self.add("static inline bool read_whole_container(reader_t *r, dcp_container_t *container)", "{")
         self.add("    bool good;")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from dcp_codec.export.shape import Record
 from dcp_codec.plan.measures import largest
-from dcp_codec.plan.tree import Scalar
 
 if TYPE_CHECKING:
     from .module import Module
@@ -79,13 +78,10 @@ def writing(module: Module) -> Iterator[str]:
     yield from ("        }", "        container.write(self)?;", "        self.container = Some(at);")
     yield from ("        self.records = self.at;", "        self.records_written = 0;")
     yield from ("        self.ic_type = container.ic_type as u64;", "        Ok(())", "    }", "")
-    count = shape.scalar_or_none(shape.container, "icNumRecords")
-    assert count is not None
-    assert isinstance(count.node, Scalar)
     yield "    /// Add a record to the container. If it does not fit, the container can be ended without it."
     yield "    pub fn add_record(&mut self, record: &Record) -> Result<(), Fault> {"
     yield from _order("self.container.is_none() || self.ic_type != record.ic_type()")
-    yield f"        if self.records_written == {largest(count.node)} {{"
+    yield f"        if self.records_written == {shape.most_records} {{"
     yield from ("            return Err(Fault::TooMany);", "        }", "        record.write(self)?;")
     yield from ("        self.records_written += 1;", "        Ok(())", "    }", "")
     yield "    /// End the container; one without records is removed."
@@ -107,24 +103,16 @@ def _order(wrong: str) -> tuple[str, ...]:
     return (f"        if {wrong} {{", "            return Err(Fault::Order);", "        }")
 
 
-def _derived(module: Module, record: Record, name: str) -> Scalar | None:
-    part = module.shape.scalar_or_none(record, name)
-    node = part.node if part is not None else None
-    return node if isinstance(node, Scalar) and node.derived is not None else None
-
-
 def _set(module: Module, record: Record, name: str, place: str, number: str) -> Iterator[str]:
     """Yield the setting of a derived field, unless the layout has none."""
-    node = _derived(module, record, name)
-    if node is not None:
+    if (node := module.shape.derived(record, name)) is not None:
         little = "true" if node.order == "little" else "false"
         yield f"        self.set(self.places[{place}], {number}, {node.size}, {little});"
 
 
 def _limit(module: Module, record: Record, name: str, number: str, fault: str) -> Iterator[str]:
     """Yield the check that a derived field can express a number."""
-    node = _derived(module, record, name)
-    if node is None:
+    if (node := module.shape.derived(record, name)) is None:
         return
     if node.rule is not None and name not in ("numPayloads", "icNumRecords"):
         yield from (f"        if {number} == 0 {{", "            return Err(Fault::Empty);", "        }")
