@@ -61,8 +61,6 @@ class CaptureReader(Closing):
         self._link_types = link_types
         self._log = ProblemLog()
         self._metadata: dict[str, dict[str, str]] = {}
-        self._dropped: dict[int, int] = {}
-        self._stamp = ""
         self._number = 0
         self._position = 0
         self._frames_read = 0
@@ -128,14 +126,6 @@ class CaptureReader(Closing):
         return self._source.name
 
     @property
-    def resolution(self) -> str:
-        """Return the unit of the stamps: "s", "ms", "us", "ns", or such as "10^-12 s", "2^-20 s"; "" if not yet known.
-
-        It is that of the first interface that is read; `Frame.time_ns` is always in nanoseconds.
-        """
-        return self._stamp
-
-    @property
     def problems(self) -> list[CaptureProblem]:
         """Return the problems found so far; the list is complete when the iteration has ended."""
         return self._log.found
@@ -158,14 +148,6 @@ class CaptureReader(Closing):
         description, linkType, resolution). pcap: ``pcap`` (fcsLength) if frames end in a checksum.
         """
         return self._metadata
-
-    @property
-    def dropped(self) -> Mapping[int, int]:
-        """Return interface -> frames that the recorder lost there; interfaces without this information are missing.
-
-        Only pcapng files have it, usually at their end.
-        """
-        return self._dropped
 
     @property
     def frames_read(self) -> int:

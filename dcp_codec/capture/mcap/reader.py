@@ -28,18 +28,14 @@ from dcp_codec.capture.reader import CaptureReader, counted
 from . import raw_frame as rawframe
 from . import raw_json as rawjson
 from .chunk import MAX_CHUNK_LENGTH, Chunk, ChunkError, Unpacker
-from .index import read_index, read_record
+from .index import FOOTER, MAGIC, RECORD_HEAD, read_index, read_record
 from .original import read_original
-
-MAGIC = b"\x89MCAP0\r\n"
 
 #: Maximum number of metadata records kept from one file.
 MAX_METADATA = 1_000
 
-RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _DATA_END = struct.Struct("<I")  # checksum of the data section
-_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
 
 #: Records that are read as a whole; all others except chunks are skipped.
 _READ = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER})
@@ -68,7 +64,6 @@ class McapReader(CaptureReader):
         self, source: ByteSource, link_types: frozenset[int], allocate: Callable[[int], memoryview] | None = None
     ) -> None:
         super().__init__(source, link_types)
-        self._stamp = "ns"
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
         #: Channels with raw frames, and their decoders.
@@ -166,7 +161,7 @@ class McapReader(CaptureReader):
         raise _End
 
     def _footer(self, content: bytes, offset: int) -> Never:
-        self._check(_FOOTER, content, crc32(content[: _FOOTER.size - 4], self._crc), "summary section", offset)
+        self._check(FOOTER, content, crc32(content[: FOOTER.size - 4], self._crc), "summary section", offset)
         source = self._source
         end = source.position
         magic = source.take(len(MAGIC))
