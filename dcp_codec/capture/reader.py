@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
+from collections.abc import Generator, Hashable, Iterator, Mapping
 
 from .bytesource import ByteSource, Closing
 from .frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
-
-#: Function that describes a number of equal problems in one sentence.
-Describe = Callable[[int], str]
 
 
 class ProblemLog:
@@ -21,7 +18,7 @@ class ProblemLog:
         self.found: list[CaptureProblem] = []
         # key -> [index into found, count]
         self._counts: dict[Hashable, list[int]] = {}
-        self._describe: dict[Hashable, Describe] = {}
+        self._sentences: dict[Hashable, tuple[str, str]] = {}
 
     def add(
         self, reason: Reason, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
@@ -29,22 +26,23 @@ class ProblemLog:
         """Add a problem that occurs once."""
         self.found.append(CaptureProblem(reason, message, offset, needed, available, frame))
 
-    def count(self, key: Hashable, reason: Reason, describe: Describe, offset: int, frame: int) -> None:
-        """Count a problem of the kind `key`; the first one determines the place, `describe` makes the sentence."""
+    def count(self, key: Hashable, reason: Reason, noun: str, text: str, offset: int, frame: int) -> None:
+        """Count a problem of the kind `key`; the first one determines the place. `noun`: what is counted."""
         entry = self._counts.get(key)
         if entry is not None:
             entry[1] += 1
             return
         self._counts[key] = [len(self.found), 1]
-        self._describe[key] = describe
-        self.add(reason, describe(1), offset, frame=frame)
+        self._sentences[key] = noun, text
+        self.add(reason, f"1 {noun}{text}", offset, frame=frame)
 
     def settle(self) -> None:
         """Update the sentences of counted problems."""
         for key, (index, times) in self._counts.items():
             if times > 1:
-                old = self.found[index]
-                self.found[index] = CaptureProblem(old.reason, self._describe[key](times), old.offset, frame=old.frame)
+                old, (noun, text) = self.found[index], self._sentences[key]
+                message = counted(times, noun) + text
+                self.found[index] = CaptureProblem(old.reason, message, old.offset, frame=old.frame)
 
 
 class CaptureReader(Closing):
@@ -86,15 +84,8 @@ class CaptureReader(Closing):
 
     def _clamped(self, time_ns: int, offset: int) -> int:
         """Return the time nearest to `time_ns` that a `Frame` can have."""
-        self._tally(
-            "time-out-of-range",
-            lambda times: (
-                f"{counted(times, 'time')}, the first at octet {offset}, outside of 1970 to 2262: the "
-                "nearest that is inside stands for it."
-            ),
-            offset,
-            self._number - 1,
-        )
+        text = f", the first at octet {offset}, outside of 1970 to 2262: the nearest that is inside stands for it."
+        self._tally("time-out-of-range", "time", text, offset, self._number - 1)
         return min(max(time_ns, 0), MAX_TIME_NS)
 
     def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
@@ -108,11 +99,11 @@ class CaptureReader(Closing):
         self._log.add(reason, message, offset, needed=needed, available=available, frame=self._number)
 
     def _tally(
-        self, reason: Reason, describe: Describe, offset: int, frame: int | None = None, of: Hashable = None
+        self, reason: Reason, noun: str, text: str, offset: int, frame: int | None = None, of: Hashable = None
     ) -> None:
         """Count a problem after ``frame``, by default the last one; those with the same ``of`` are reported as one."""
         key = reason if of is None else (reason, of)
-        self._log.count(key, reason, describe, offset, self._number if frame is None else frame)
+        self._log.count(key, reason, noun, text, offset, self._number if frame is None else frame)
 
     def _so_far(self) -> str:
         return f"{counted(self._frames_read, 'frame')} before it could be read"

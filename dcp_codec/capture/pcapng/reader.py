@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import ETHERNET, MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
 from dcp_codec.capture.linktypes import link_type_name, wrong_link_type
-from dcp_codec.capture.reader import CaptureReader, counted
+from dcp_codec.capture.reader import CaptureReader
 
 from .blocks import (
     BYTE_ORDERS,
@@ -200,15 +200,8 @@ class PcapngReader(CaptureReader):
 
     def _pass_over(self, kind: int, offset: int) -> bool:
         if kind not in SKIPPED:
-            self._tally(
-                "unknown-block",
-                lambda times: (
-                    f"{counted(times, 'block')} of the unknown type {kind:#010x}, the first at octet {offset}, passed "
-                    "over."
-                ),
-                offset,
-                of=kind,
-            )
+            text = f" of the unknown type {kind:#010x}, the first at octet {offset}, passed over."
+            self._tally("unknown-block", "block", text, offset, of=kind)
         return True
 
     def _section(self, buffer: bytes, start: int, total: int) -> bool:
@@ -316,27 +309,14 @@ class PcapngReader(CaptureReader):
             self._does_not_fit(captured, room, start)
             return None
         offset = self._source.base + start
-        self._tally(
-            "no-time",
-            lambda times: (
-                f"{counted(times, 'simple packet block')}, the first at octet {offset}, without a time of capture: "
-                "0 stands for it."
-            ),
-            offset,
-            self._number - 1,
-        )
+        text = f", the first at octet {offset}, without a time of capture: 0 stands for it."
+        self._tally("no-time", "simple packet block", text, offset, self._number - 1)
         body = start + 12
         return Frame(self._number, 0, buffer[body : body + captured], length, interface.index, offset)
 
     def _unknown_interface(self, offset: int) -> None:
-        self._tally(
-            "unknown-interface",
-            lambda times: (
-                f"{counted(times, 'block')}, the first at octet {offset}, for an interface that its section does not "
-                "describe, passed over."
-            ),
-            offset,
-        )
+        text = f", the first at octet {offset}, for an interface that its section does not describe, passed over."
+        self._tally("unknown-interface", "block", text, offset)
 
     def _not_wanted(self, interface: Interface | None, start: int) -> None:
         """Count a frame of an unknown interface, or of one with another link type."""
@@ -345,26 +325,15 @@ class PcapngReader(CaptureReader):
             self._unknown_interface(offset)
             return
         index, kind = interface.index, link_type_name(interface.link_type)
-        self._tally(
-            "wrong-link-type",
-            lambda times: f"{counted(times, 'frame')} of interface {index} passed over: its link type is {kind}.",
-            offset,
-            self._number - 1,
-            index,
-        )
+        text = f" of interface {index} passed over: its link type is {kind}."
+        self._tally("wrong-link-type", "frame", text, offset, self._number - 1, index)
 
     def _does_not_fit(self, captured: int, room: int, start: int) -> None:
         """Count a frame that states more octets than its block has."""
         offset = self._source.base + start
-        self._tally(
-            "bad-record",
-            lambda times: (
-                f"{counted(times, 'frame')} passed over, the first in the block at octet {offset}, which claims "
-                f"{captured} octets where its block has {room}."
-            ),
-            offset,
-            self._number - 1,
-        )
+        place = f"the first in the block at octet {offset}"
+        text = f" passed over, {place}, which claims {captured} octets where its block has {room}."
+        self._tally("bad-record", "frame", text, offset, self._number - 1)
 
     def _check_options(
         self, buffer: bytes, start: int, stop: int, block: int, *, counters: tuple[int, ...] = ()
@@ -379,15 +348,10 @@ class PcapngReader(CaptureReader):
 
     def _bad_option(self, error: BadOptionError, start: int) -> None:
         """Count damaged options of a block whose other parts were read."""
-        offset, what = self._source.base + start, str(error)
-        self._tally(
-            "bad-option",
-            lambda times: (
-                f"{counted(times, 'block')} with options that are damaged, the first at octet {offset} ({what}); the "
-                "rest of such a block was read."
-            ),
-            offset,
-        )
+        offset = self._source.base + start
+        place = f"the first at octet {offset} ({error})"
+        text = f" with options that are damaged, {place}; the rest of such a block was read."
+        self._tally("bad-option", "block", text, offset)
 
     def _rounded(self, scaled: int, interface: Interface, start: int) -> int:
         """Return `scaled` / `divide`, rounded to the nearest nanosecond."""
@@ -395,14 +359,6 @@ class PcapngReader(CaptureReader):
         if not rest:
             return time_ns
         index, unit = interface.index, interface.resolution
-        self._tally(
-            "rounded-time",
-            lambda times: (
-                f"{counted(times, 'time')} of interface {index}, whose clock counts in {unit}, rounded to the nearest "
-                "nanosecond."
-            ),
-            self._source.base + start,
-            self._number - 1,
-            index,
-        )
+        text = f" of interface {index}, whose clock counts in {unit}, rounded to the nearest nanosecond."
+        self._tally("rounded-time", "time", text, self._source.base + start, self._number - 1, index)
         return time_ns + (2 * rest >= interface.divide)

@@ -19,7 +19,7 @@ from dcp_codec.export.wording import bits_of, constant, description, snake_name
 from dcp_codec.plan.measures import largest, longest
 from dcp_codec.plan.tree import Group, Node, Scalar, Text
 
-from .parts import containers, payloads
+from .parts import containers, payloads, returned
 from .writer import writing
 
 #: Words that no field of a structure may have, beside those that Python reserves, too.
@@ -212,11 +212,8 @@ class Module:
         if node.rule is not None:
             wrong = "raw == 0" if node.rule.value is None else f"raw != 0x{node.rule.value:x}"
             expected = "1" if node.rule.value is None else f"0x{node.rule.value:x}"
-            yield f"        if {wrong} {{"
-            problem = self.problem(
-                node.rule.reason, node.rule.requirement, self._path(record, path), "at", expected, "raw"
-            )
-            yield from (f"            return Err({problem});", "        }")
+            rule, field = node.rule, self._path(record, path)
+            yield from returned(wrong, self.problem(rule.reason, rule.requirement, field, "at", expected, "raw"))
 
     @staticmethod
     def problem(reason: str, requirement: str | None, field: str, offset: str, needed: str, available: str) -> str:
@@ -260,15 +257,14 @@ class Module:
         for number, prefix in enumerate(text.prefixes[1:], start=1):
             at, size = f"place{number}", f"size{number}"
             problem = self.problem("length-mismatch", "DATA-06", f"{path}.{prefix.name}", at, "size0", size)
-            yield from (f"        if size{number} != size0 {{", f"            return Err({problem});", "        }")
+            yield from returned(f"size{number} != size0", problem)
         if text.terminated:
             yield "        let place = r.at;"
         yield f'        let {local} = r.take(size0, "{text.requirement or ""}", "{path}.data")?;'
         if text.terminated:
             problem = self.problem("bad-terminator", "DATA-07", f"{path}.data", "place", "0", "0")
             stop = f"{local}.iter().position(|&octet| octet == 0)"
-            yield f"        if {local}.is_empty() || {stop} != Some({local}.len() - 1) {{"
-            yield from (f"            return Err({problem});", "        }")
+            yield from returned(f"{local}.is_empty() || {stop} != Some({local}.len() - 1)", problem)
             yield f"        let {local} = &{local}[..{local}.len() - 1];"
 
     def _write(self, record: Record, places: Mapping[str, str]) -> Iterator[str]:
@@ -279,24 +275,16 @@ class Module:
             if isinstance(node, Text):
                 texts.append(value)
                 fixed += sum(prefix.size for prefix in node.prefixes) + node.terminated
-                if (most := longest(node)) is not None:
-                    yield from self._limited(f"{value}.len()", most - node.terminated, "TooLong")
+                if (most := longest(node)) is not None and most - node.terminated < (1 << 64) - 1:
+                    yield from returned(f"{value}.len() as u64 > {most - node.terminated}", "Fault::TooLong")
                 if node.terminated:
-                    yield from (
-                        f"        if {value}.contains(&0) {{",
-                        "            return Err(Fault::Nul);",
-                        "        }",
-                    )
+                    yield from returned(f"{value}.contains(&0)", "Fault::Nul")
                 continue
             fixed += node.size
             if node.stored and node.kind == "int" and node.size not in (1, 2, 4, 8):
                 top = largest(node)
                 below = f"{value} < -{top} - 1 || " if node.signed else ""
-                yield from (
-                    f"        if {below}{value} > {top} {{",
-                    "            return Err(Fault::OutOfRange);",
-                    "        }",
-                )
+                yield from returned(f"{below}{value} > {top}", "Fault::OutOfRange")
         yield f"        w.room({' + '.join([str(fixed), *(f'{each}.len()' for each in texts)])})?;"
         for part in record.parts():
             node, value = part.node, self._access(part)
@@ -323,12 +311,6 @@ class Module:
         if node.kind == "float":
             return f"u64::from({value}.to_bits())" if node.size == 4 else f"{value}.to_bits()"
         return f"{value} as i64 as u64" if node.signed else f"{value} as u64"
-
-    @staticmethod
-    def _limited(number: str, most: int, fault: str) -> list[str]:
-        if most >= (1 << 64) - 1:
-            return []
-        return [f"        if {number} as u64 > {most} {{", f"            return Err(Fault::{fault});", "        }"]
 
     # -- all ----------------------------------------------------------------------------------------------------
 
