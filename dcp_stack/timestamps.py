@@ -24,17 +24,11 @@ class StampClock:
     """
 
     def __init__(self, layout: TimestampType, *, origin: int = 0) -> None:
-        self.layout = layout
         self.comparable = layout.epoch_ns is not None
         self._origin = origin if layout.epoch_ns is None else layout.epoch_ns
         self._unit = _PS_PER_SECOND // layout.per_second
         self._modulus = 1 << (8 * layout.width)
         self._lowest = -(self._modulus >> 1) if layout.signed else 0
-
-    @property
-    def period_ns(self) -> int:
-        """Period in ns after which stamps wrap to 0, rounded down."""
-        return self._modulus * self._unit // _PS_PER_NS
 
     def stamp(self, wall: int) -> int:
         """Return the stamp of a wall time: rounded down to the unit, modulo the range of the type. Never raises."""

@@ -16,7 +16,7 @@ from dcp_spec.profile.definition import Link, Profile
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, Problem
-from dcp_codec.framing.locate import OtherTraffic, bare, locate
+from dcp_codec.framing.locate import OtherTraffic, locate
 
 _CLIENTS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
 #: Number of listed shortfalls; the first ones explain most.
@@ -52,13 +52,11 @@ class _Found:
         self.first.setdefault(key, frame)
 
 
-def shortfalls(
-    codec: Codec, frames: Iterable[Frame], link: Link | None = None, *, framed: bool = True
-) -> list[Shortfall]:
+def shortfalls(codec: Codec, frames: Iterable[Frame], link: Link | None = None) -> list[Shortfall]:
     """Return the shortfalls of ``codec`` for ``frames``, the most frequent first; empty if it decodes all of them."""
     found = _Found()
     for frame in frames:
-        place = locate(frame.data, link or codec.profile.link) if framed else bare(frame.data)
+        place = locate(frame.data, link or codec.profile.link)
         if isinstance(place, OtherTraffic):
             continue
         found.frames += 1

@@ -12,6 +12,7 @@ from .bytesink import open_sink, same_file
 from .bytesource import ByteSource, open_source
 from .compressed import decompressed, without_compression
 from .frame import ETHERNET, CaptureError
+from .mcap.index import MAGIC
 from .pcap.reader import MAGICS, MODIFIED_MAGICS, PcapReader
 from .pcap.writer import PcapWriter
 from .pcapng.reader import PcapngReader
@@ -20,7 +21,6 @@ from .reader import CaptureReader
 from .writer import CaptureWriter, MessageSource, Metadata
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
-MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 FORMATS = ("pcap", "pcapng", "mcap")
 #: Suffix of a file -> format to write.
@@ -167,7 +167,7 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
         return PcapReader(source, link_types)
     if start.startswith(PCAPNG_MAGIC):
         return PcapngReader(source, link_types)
-    if start.startswith(MCAP_MAGIC):
+    if start.startswith(MAGIC):
         # Imported here, so that users without MCAP files do not pay for importing the library.
         from .mcap.reader import McapReader
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
+from collections.abc import Generator, Hashable, Iterator, Mapping
 
 from .bytesource import ByteSource, Closing
 from .frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
-
-#: Function that describes a number of equal problems in one sentence.
-Describe = Callable[[int], str]
 
 
 class ProblemLog:
@@ -21,7 +18,7 @@ class ProblemLog:
         self.found: list[CaptureProblem] = []
         # key -> [index into found, count]
         self._counts: dict[Hashable, list[int]] = {}
-        self._describe: dict[Hashable, Describe] = {}
+        self._sentences: dict[Hashable, tuple[str, str]] = {}
 
     def add(
         self, reason: Reason, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
@@ -29,22 +26,23 @@ class ProblemLog:
         """Add a problem that occurs once."""
         self.found.append(CaptureProblem(reason, message, offset, needed, available, frame))
 
-    def count(self, key: Hashable, reason: Reason, describe: Describe, offset: int, frame: int) -> None:
-        """Count a problem of the kind `key`; the first one determines the place, `describe` makes the sentence."""
+    def count(self, key: Hashable, reason: Reason, noun: str, text: str, offset: int, frame: int) -> None:
+        """Count a problem of the kind `key`; the first one determines the place. `noun`: what is counted."""
         entry = self._counts.get(key)
         if entry is not None:
             entry[1] += 1
             return
         self._counts[key] = [len(self.found), 1]
-        self._describe[key] = describe
-        self.add(reason, describe(1), offset, frame=frame)
+        self._sentences[key] = noun, text
+        self.add(reason, f"1 {noun}{text}", offset, frame=frame)
 
     def settle(self) -> None:
         """Update the sentences of counted problems."""
         for key, (index, times) in self._counts.items():
             if times > 1:
-                old = self.found[index]
-                self.found[index] = CaptureProblem(old.reason, self._describe[key](times), old.offset, frame=old.frame)
+                old, (noun, text) = self.found[index], self._sentences[key]
+                message = counted(times, noun) + text
+                self.found[index] = CaptureProblem(old.reason, message, old.offset, frame=old.frame)
 
 
 class CaptureReader(Closing):
@@ -61,8 +59,6 @@ class CaptureReader(Closing):
         self._link_types = link_types
         self._log = ProblemLog()
         self._metadata: dict[str, dict[str, str]] = {}
-        self._dropped: dict[int, int] = {}
-        self._stamp = ""
         self._number = 0
         self._position = 0
         self._frames_read = 0
@@ -88,15 +84,8 @@ class CaptureReader(Closing):
 
     def _clamped(self, time_ns: int, offset: int) -> int:
         """Return the time nearest to `time_ns` that a `Frame` can have."""
-        self._tally(
-            "time-out-of-range",
-            lambda times: (
-                f"{counted(times, 'time')}, the first at octet {offset}, outside of 1970 to 2262: the "
-                "nearest that is inside stands for it."
-            ),
-            offset,
-            self._number - 1,
-        )
+        text = f", the first at octet {offset}, outside of 1970 to 2262: the nearest that is inside stands for it."
+        self._tally("time-out-of-range", "time", text, offset, self._number - 1)
         return min(max(time_ns, 0), MAX_TIME_NS)
 
     def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
@@ -110,11 +99,11 @@ class CaptureReader(Closing):
         self._log.add(reason, message, offset, needed=needed, available=available, frame=self._number)
 
     def _tally(
-        self, reason: Reason, describe: Describe, offset: int, frame: int | None = None, of: Hashable = None
+        self, reason: Reason, noun: str, text: str, offset: int, frame: int | None = None, of: Hashable = None
     ) -> None:
         """Count a problem after ``frame``, by default the last one; those with the same ``of`` are reported as one."""
         key = reason if of is None else (reason, of)
-        self._log.count(key, reason, describe, offset, self._number if frame is None else frame)
+        self._log.count(key, reason, noun, text, offset, self._number if frame is None else frame)
 
     def _so_far(self) -> str:
         return f"{counted(self._frames_read, 'frame')} before it could be read"
@@ -126,14 +115,6 @@ class CaptureReader(Closing):
     def name(self) -> str:
         """Return the name of the file, as the caller gave it."""
         return self._source.name
-
-    @property
-    def resolution(self) -> str:
-        """Return the unit of the stamps: "s", "ms", "us", "ns", or such as "10^-12 s", "2^-20 s"; "" if not yet known.
-
-        It is that of the first interface that is read; `Frame.time_ns` is always in nanoseconds.
-        """
-        return self._stamp
 
     @property
     def problems(self) -> list[CaptureProblem]:
@@ -158,14 +139,6 @@ class CaptureReader(Closing):
         description, linkType, resolution). pcap: ``pcap`` (fcsLength) if frames end in a checksum.
         """
         return self._metadata
-
-    @property
-    def dropped(self) -> Mapping[int, int]:
-        """Return interface -> frames that the recorder lost there; interfaces without this information are missing.
-
-        Only pcapng files have it, usually at their end.
-        """
-        return self._dropped
 
     @property
     def frames_read(self) -> int:

@@ -26,6 +26,7 @@ from . import main
 
 if TYPE_CHECKING:
     from dcp_codec.analysis.guess import Guess
+    from dcp_codec.network.live import LiveReader
 
 MALFORMED = 1
 
@@ -208,6 +209,19 @@ def progress_bar(name: str, size: int | None) -> Iterator[Callable[..., None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         yield partial(bar.update, bar.add_task(name, total=size))
+
+
+@contextmanager
+def listening(interface: str, link: Link | None) -> Iterator[LiveReader]:
+    """Open an interface for reading until a signal ends it; then report the frames that were lost."""
+    from dcp_codec.network.live import LiveError, LiveReader
+
+    with expected(LiveError), LiveReader(interface, link) as reader:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: reader.close())
+        yield reader
+        if reader.dropped:
+            note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
 
 
 def use_colour(choice: str) -> bool:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 import shutil
-import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
 from itertools import chain
 from typing import Any, Protocol
 
 import click
 
 from dcp_codec.capture import Frame
-from dcp_codec.common.commandline import ExpectedError, SectionedCommand, choice_option, expected, output_format
+from dcp_codec.common.commandline import ExpectedError, SectionedCommand, choice_option, output_format
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -26,6 +24,7 @@ from .common import (
     dissector_of,
     dissector_of_guess,
     each_file,
+    listening,
     load_codec,
     malformed_note,
     no_beacons_note,
@@ -227,21 +226,10 @@ class _Run:
 
     def live(self, interface: str) -> int:
         """Decode live traffic until interrupted or --count frames were shown."""
-        from dcp_codec.network.live import LiveError, LiveReader
-
-        if self.options["form"] == "tree" and not sys.stdout.isatty():
-            self.output = Output()
         link = None if self.profile == "auto" else dissector_of(self.profile, self.ether_type).link
-        with ExitStack() as stack:
-            with expected(LiveError):
-                reader = stack.enter_context(LiveReader(interface, link))
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: reader.close())
+        with listening(interface, link) as reader:
             note(f"{interface}: listening; Ctrl-C ends")
-            status = self._live_frames(reader, interface)
-            if reader.dropped:
-                note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
-            return status
+            return self._live_frames(reader, interface)
 
     def _live_frames(self, reader: Any, interface: str) -> int:
         class Flushing(Output):

@@ -15,15 +15,15 @@ from dcp_codec.common.commandline import PROFILE_HELP, writing
 
 from .common import load_codec
 
-#: kind -> (module, function of a codec, help); a kind of several files has a dictionary of texts by name
+#: kind -> (module, function of a codec); a kind of several files has a dictionary of texts by name
 _KINDS = {
-    "c": ("dcp_codec.export.c.files", "codec_files", "decoder and encoder in C99"),
-    "rust": ("dcp_codec.export.rust.module", "rust_module", "decoder and encoder in Rust, no_std"),
-    "lua": ("dcp_codec.export.lua", "wireshark_dissector", "Wireshark/tshark dissector (Lua)"),
-    "ksy": ("dcp_codec.export.ksy", "kaitai_struct", "Kaitai Struct specification"),
-    "jsonschema": ("dcp_codec.export.jsonschema", "frame_schema", "JSON Schema of 'decode --format jsonl'"),
-    "markdown": ("dcp_codec.export.markdown", "format_tables", "Markdown tables with bit offsets"),
-    "scapy": ("dcp_codec.scapy.layers", "export_script", "start-up script for scapy with the layers loaded"),
+    "c": ("dcp_codec.export.c.files", "codec_files"),
+    "rust": ("dcp_codec.export.rust.module", "rust_module"),
+    "lua": ("dcp_codec.export.lua", "wireshark_dissector"),
+    "ksy": ("dcp_codec.export.ksy", "kaitai_struct"),
+    "jsonschema": ("dcp_codec.export.jsonschema", "frame_schema"),
+    "markdown": ("dcp_codec.export.markdown", "format_tables"),
+    "scapy": ("dcp_codec.scapy.layers", "export_script"),
 }
 
 
@@ -77,7 +77,7 @@ def command(kind: str, adapter: bool, profile: str, out: str | None) -> int:
 
 
 def _result(kind: str, codec: Codec, profile: str) -> str | dict[str, str]:
-    module, name, _ = _KINDS[kind]
+    module, name = _KINDS[kind]
     function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
     result = function(profile if kind == "scapy" else codec)
     if kind == "jsonschema":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from dcp_codec.capture.ring import RingWriter
 from dcp_codec.common.commandline import ExpectedError, expected, out_option
 from dcp_codec.framing.frames import with_ether_type
 
-from .common import ether_type_option, load_codec, note, recording_format
+from .common import ether_type_option, listening, load_codec, note, recording_format
 
 
 @click.command(
@@ -60,15 +59,13 @@ def command(
     """
     if ring_files is not None and ring_size is None and ring_time is None:
         raise click.UsageError("--ring-files needs --ring-size or --ring-time")
-    from dcp_codec.network.live import LiveError, LiveReader
-
     link = load_codec(profile).profile.link if profile is not None else None
     if ether_type is not None:
         link = with_ether_type(link or load_codec("dcp-2.0").profile.link, ether_type)
     try:
         with (
-            expected(LiveError, CaptureError),
-            LiveReader(interface, link) as reader,
+            listening(interface, link) as reader,
+            expected(CaptureError),
             RingWriter(
                 out,
                 max_octets=None if ring_size is None else int(ring_size * 1e6),
@@ -78,13 +75,9 @@ def command(
                 metadata=reader.metadata,
             ) as ring,
         ):
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: reader.close())
             note(f"{interface}: recording to {ring.files[-1]}; Ctrl-C ends")
             for frame in islice(reader, count):
                 ring.write(frame)
-            if reader.dropped:
-                note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
     except OSError as error:
         raise ExpectedError(f"{error.filename or out}: {error.strerror}") from None
     kept = f", {len(ring.files)} of {ring.count} files kept" if ring.count > 1 else ""

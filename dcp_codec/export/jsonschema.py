@@ -38,7 +38,7 @@ def frame_schema(codec: Codec) -> JSONSchema:
     beacons.
     """
     strict, partial = RecordSchemas(codec.profile, "strict"), RecordSchemas(codec.profile, "partial")
-    beacon = _beacon_group(codec)
+    beacon = record_group(codec.beacon_plan)
     well_formed, remains = strict.group(beacon), partial.group(beacon)
     members = {
         name: {"type": member.get("type", "object"), "description": member["description"]}
@@ -65,22 +65,7 @@ def frame_schema(codec: Codec) -> JSONSchema:
 
 def beacon_schema(codec: Codec) -> JSONSchema:
     """Return the schema of a well-formed beacon as a JSON object (``bp`` and ``payloads``)."""
-    return _record_root(codec, _beacon_group(codec), "One well-formed beacon. Octets are lower-case hex.")
-
-
-def report_schema(codec: Codec) -> JSONSchema | None:
-    """Return the schema of a well-formed state report as a JSON object, None if the profile cannot encode one."""
-    plan = codec.srp_plan
-    if plan is None:
-        return None
-    return _record_root(codec, record_group(plan), "One well-formed SRP payload. Octets are lower-case hex.")
-
-
-def container_schema(codec: Codec) -> JSONSchema:
-    """Return the schema of a well-formed instruction container as a JSON object."""
-    return _record_root(
-        codec, container_group(codec), "One well-formed instruction container. Octets are lower-case hex."
-    )
+    return record_schema(codec, record_group(codec.beacon_plan), "One well-formed beacon. Octets are lower-case hex.")
 
 
 def container_group(codec: Codec) -> Group:
@@ -111,11 +96,8 @@ def record_group(plan: Node) -> Group:
     return content
 
 
-def _beacon_group(codec: Codec) -> Group:
-    return record_group(codec.beacon_plan)
-
-
-def _record_root(codec: Codec, group: Group, about: str) -> JSONSchema:
+def record_schema(codec: Codec, group: Group, about: str) -> JSONSchema:
+    """Return the schema of one well-formed record as a JSON object."""
     builder = RecordSchemas(codec.profile, "strict")
     schema = builder.group(group)
     del schema["title"], schema["description"]

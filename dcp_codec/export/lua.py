@@ -21,7 +21,6 @@ these tables (``lua_walk.lua``, ``lua_show.lua``) that is the same for all profi
 from __future__ import annotations
 
 import importlib.resources
-import re
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
@@ -70,11 +69,6 @@ def wireshark_dissector(codec: Codec) -> str:
     folder = importlib.resources.files(__package__)
     parts += [folder.joinpath(name).read_text(encoding="utf-8").rstrip() for name in ("lua_walk.lua", "lua_show.lua")]
     return "\n\n".join(parts) + "\n"
-
-
-def filter_name(path: str) -> str:
-    """Return the display filter name of the field at ``path`` (a path of our JSON, with or without indices)."""
-    return "dcp." + re.sub(r"\[\d+\]", "", path)
 
 
 def _one_line(text: str) -> str:

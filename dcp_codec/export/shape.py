@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from dcp_codec.codec import Codec
+from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
+Node_co = TypeVar("Node_co", bound=Scalar | Text, covariant=True)
 
-class Part(NamedTuple):
+
+class Part(NamedTuple, Generic[Node_co]):
     """A scalar or text of a record, or a length of a text, with the names that lead to it."""
 
     path: tuple[str, ...]
-    node: Scalar | Text
+    node: Node_co
 
     @property
     def name(self) -> str:
@@ -29,13 +32,13 @@ class Part(NamedTuple):
 class Run(NamedTuple):
     """Neighbouring scalars, whose octets are checked at once; the lengths of ``text``, if there is one, end it."""
 
-    scalars: tuple[Part, ...]
-    text: Part | None
+    scalars: tuple[Part[Scalar], ...]
+    text: Part[Text] | None
 
     @property
     def size(self) -> int:
         """Return the number of octets of the scalars."""
-        return sum(part.node.size for part in self.scalars if isinstance(part.node, Scalar))
+        return sum(part.node.size for part in self.scalars)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,25 +50,25 @@ class Record:
     #: Names between the last list and the record, in the paths of errors.
     path: tuple[str, ...] = ()
 
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[Part[Scalar | Text]]:
         """Yield scalars and texts in wire order, those of inner records too."""
         yield from _parts(self.members, ())
 
     def runs(self) -> Iterator[Run]:
         """Yield the runs in wire order."""
-        scalars: list[Part] = []
+        scalars: list[Part[Scalar]] = []
         for part in self.parts():
             if isinstance(part.node, Text):
                 scalars += (Part((*part.path, prefix.name), prefix) for prefix in part.node.prefixes)
-                yield Run(tuple(scalars), part)
+                yield Run(tuple(scalars), Part(part.path, part.node))
                 scalars = []
             else:
-                scalars.append(part)
+                scalars.append(Part(part.path, part.node))
         if scalars:
             yield Run(tuple(scalars), None)
 
 
-def _parts(members: tuple[Node, ...], path: tuple[str, ...]) -> Iterator[Part]:
+def _parts(members: tuple[Node, ...], path: tuple[str, ...]) -> Iterator[Part[Scalar | Text]]:
     for member in members:
         if isinstance(member, Group):
             yield from _parts(member.members, (*path, member.name))
@@ -105,9 +108,33 @@ class Shape:
         return list(self.records.values())
 
     @staticmethod
-    def scalar_or_none(record: Record, name: str) -> Part | None:
+    def scalar(record: Record, name: str) -> Scalar | None:
         """Return a scalar of a record by its name in the specification; None if the layout has none."""
-        return next((part for part in record.parts() if part.path == (name,) and isinstance(part.node, Scalar)), None)
+        return next((each for each in record.members if each.name == name and isinstance(each, Scalar)), None)
+
+    @staticmethod
+    def derived(record: Record, name: str) -> Scalar | None:
+        """Return a scalar that follows from others, such as a length; None if the layout has none."""
+        found = Shape.scalar(record, name)
+        return None if found is None or found.derived is None else found
+
+    @property
+    def most_records(self) -> int:
+        """Return the most records that a container can count."""
+        count = self.scalar(self.container, "icNumRecords")
+        assert count is not None
+        return largest(count)
+
+    @property
+    def header_marks(self) -> dict[str, str]:
+        """Return the fields of the header whose place is kept for later checks, with the names of variables for it."""
+        length = {} if self.region is None else {self.region.length.rsplit(".", 1)[-1]: "length_at"}
+        return {"numPayloads": "count_at", **length}
+
+    @property
+    def container_marks(self) -> dict[str, str]:
+        """Return the same of the header of a container."""
+        return {"icType": "type_at", **({} if self.list_region is None else {self.list_region.length: "length_at"})}
 
 
 def shape_of(codec: Codec) -> Shape:

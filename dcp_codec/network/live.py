@@ -49,7 +49,6 @@ class LiveReader(Closing):
     """
 
     format = "live"
-    resolution = "ns"
     position = 0
     size: int | None = None
 

@@ -54,6 +54,12 @@ class Source:
             self.add("pass")
         self._depth -= 1
 
+    def when(self, condition: str, *lines: str) -> None:
+        """Append lines that are executed if a condition holds."""
+        with self.block(f"if {condition}:"):
+            for line in lines:
+                self.add(line)
+
     def compile(self, title: str) -> Any:
         """Return the function. ``title`` names the source in tracebacks and profiles."""
         text = "\n".join(self.lines) + "\n"

@@ -210,8 +210,7 @@ class _Part:
         if all(member in scope for member in doubt.members):
             values = ", ".join(scope[member].value for member in doubt.members)
             test = f"{self.source.constant('doubt', doubt.test, group.type_name)}({values})"
-        with self.source.block(f"if {test}:"):
-            self.source.add(f"doubtful.append({whole})")
+        self.source.when(test, f"doubtful.append({whole})")
 
     def _run(self, run: list[Scalar], at: str, scope: _Scope) -> None:
         """Emit the reading of neighbouring scalars of the innermost open record."""

@@ -135,8 +135,7 @@ class _Generator:
             for name in self.types.attributes_without_field(group)
         ]
         if lost:
-            with source.block(f"if {' or '.join(lost)}:"):
-                source.add("raise ValueError")
+            source.when(f"{' or '.join(lost)}", "raise ValueError")
         for member in group.members:
             if isinstance(member, Scalar | Text | Group):
                 continue
@@ -188,8 +187,7 @@ class _Generator:
             # struct would silently pad or cut octets of another length.
             variable = self.source.fresh()
             self.source.add(f"{variable} = {expression}")
-            with self.source.block(f"if len({variable}) != {scalar.size}:"):
-                self.source.add("raise ValueError")
+            self.source.when(f"len({variable}) != {scalar.size}", "raise ValueError")
             expression = variable
         if not joins([member for member, _ in run], scalar):
             self._pack(run, out)
@@ -197,16 +195,14 @@ class _Generator:
 
     def _only_octets(self, variable: str) -> None:
         """Emit the refusal of other buffers: ``len`` need not count octets in them."""
-        with self.source.block(f"if type({variable}) is not bytes and not isinstance({variable}, octets):"):
-            self.source.add("raise TypeError")
+        self.source.when(f"type({variable}) is not bytes and not isinstance({variable}, octets)", "raise TypeError")
 
     def _text(self, text: Text, expression: str, run: list[tuple[Scalar, str]], out: _Out) -> None:
         variable = self.source.fresh()
         self.source.add(f"{variable} = {expression}")
         self._only_octets(variable)
         if text.terminated:
-            with self.source.block(f"if 0 in {variable}:"):
-                self.source.add("raise ValueError")
+            self.source.when(f"0 in {variable}", "raise ValueError")
             # Not +=, which would change a bytearray of the caller.
             self.source.add(f"{variable} = {variable} + b'\\0'")
         for prefix in text.prefixes:
@@ -218,8 +214,7 @@ class _Generator:
         rest = self.source.fresh("o")
         self.source.add(f"{rest} = {given.value} or bytes({fill.total} - len({content.octets}))")
         self._only_octets(rest)
-        with self.source.block(f"if len({rest}) + len({content.octets}) != {fill.total}:"):
-            self.source.add("raise ValueError")
+        self.source.when(f"len({rest}) + len({content.octets}) != {fill.total}", "raise ValueError")
         out.add(rest)
 
     def _pack(self, run: list[tuple[Scalar, str]], out: _Out) -> None:
@@ -282,13 +277,11 @@ class _Generator:
         source, element = self.source, node.element
         classes = [source.constant("T", each, each) for each in self.types.accepted(element.type_name)]
         empty = f"not {items} or " if node.name in self.counted or node.nonempty else ""
-        with source.block(f"if {empty}type({items}) is not tuple and not isinstance({items}, list):"):
-            source.add("raise TypeError")
+        source.when(f"{empty}type({items}) is not tuple and not isinstance({items}, list)", "raise TypeError")
         out.open()
         record = source.fresh("r")
         with source.block(f"for {record} in {items}:"):
-            with source.block(f"if {' and '.join(f'type({record}) is not {each}' for each in classes)}:"):
-                source.add("raise TypeError")
+            source.when(f"{' and '.join(f'type({record}) is not {each}' for each in classes)}", "raise TypeError")
             self.group(element, record, scope, out)
 
 

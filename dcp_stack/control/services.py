@@ -18,7 +18,7 @@ from dcp_stack.bp.services import UnknownServiceError
 from dcp_stack.config import MS
 from dcp_stack.node import Node
 from dcp_stack.own_fields import NO_VALUES
-from dcp_stack.positions.geometry import Motion, distance
+from dcp_stack.positions.geometry import Motion
 from dcp_stack.srp.entity import NotInitializedError, StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 from dcp_stack.vardis.confirms import NoResponseError
@@ -207,7 +207,7 @@ def _neighbour(
     table: NeighbourTable, entry: NeighbourTableEntry, own: Motion | None, loss: float | None, times: Times
 ) -> m.Neighbour:
     motion = table.motion(entry)
-    apart = None if own is None or motion is None else distance(own.position, motion.position)
+    apart = None if own is None or motion is None else math.dist(own.position, motion.position)
     return m.Neighbour(
         node_id=entry.node_id.hex(":"),
         s_data={name: plain_number(value) for name, value in entry.ext_sd.s_data.as_dict().items()},

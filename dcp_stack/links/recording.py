@@ -40,7 +40,52 @@ def recording_path(place: str | Path, node_id: bytes, wall: int) -> Path:
     return next(each for each in map(path.joinpath, names) if not each.exists())
 
 
-class Recorder:
+class FrameFile:
+    """A file of frames, whose first error ends it: nothing is raised then, ``problem`` has the text."""
+
+    def __init__(self, writer: CaptureWriter) -> None:
+        self.frames = 0
+        self.problem = ""
+        self._writer: CaptureWriter | None = writer
+
+    @property
+    def recording(self) -> bool:
+        """Whether frames are still written."""
+        return self._writer is not None
+
+    def add(self, data: bytes, wall: int) -> None:
+        """Write a frame with its time, ns since 1970."""
+        if self._writer is not None:
+            frame = Frame(self.frames + 1, min(max(wall, 0), MAX_TIME_NS), data, len(data))
+            if self._done(self._writer.write, frame):
+                self.frames += 1
+
+    def flush(self) -> None:
+        """Pass the frames to the system."""
+        if self._writer is not None:
+            self._done(self._writer.flush)
+
+    def close(self) -> None:
+        """Finish the file; may be called twice."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            self._done(writer.close)
+
+    def _done(self, step: Callable[..., object], *args: object) -> bool:
+        try:
+            step(*args)
+        except CaptureError as error:
+            self.problem = str(error)
+            log.error("recording ends after %d frames: %s", self.frames, error)
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                with contextlib.suppress(CaptureError):
+                    writer.close()
+            return False
+        return True
+
+
+class Recorder(FrameFile):
     """A :class:`~dcp_stack.links.base.Watcher` that writes frames to an MCAP file, raw and decoded.
 
     It keeps one chunk (128 KiB) in memory, and the index of chunks for the end of the MCAP file: 0.6 to 1 KB for
@@ -66,43 +111,24 @@ class Recorder:
         Raises :class:`LinkError` if the file cannot be created, or if it exists and ``overwrite`` is False.
         """
         self.path = Path(path)
-        self.frames = 0
-        self.problem = ""
         self._envelope = Envelope(codec.profile.link)
         self._clock = clock
         self._begun_at = self._flushed_at = clock()
         self._pending = False
-        self._writer: CaptureWriter | None = None
         if not overwrite and self.path.exists():
             raise LinkError(f"{path}: exists already; name a new file, recordings are not overwritten")
         try:
-            self._writer = create_capture(
-                self.path,
-                format="mcap",
-                metadata=capture_metadata(codec, about),
-                messages=DecodedChannels(codec) if decoded else None,
-            )
+            messages = DecodedChannels(codec) if decoded else None
+            metadata = capture_metadata(codec, about)
+            super().__init__(create_capture(self.path, format="mcap", metadata=metadata, messages=messages))
         except CaptureError as error:
             raise LinkError(f"cannot record to {error}") from error
 
-    @property
-    def recording(self) -> bool:
-        """Whether frames are still written."""
-        return self._writer is not None
-
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:  # noqa: ARG002
         """Write one bearer payload in an envelope with the sender's address ``source``; ``wall``: ns since 1970."""
-        if self._writer is None:
-            return
-        data = self._envelope.frame(octets, source)
-        frame = Frame(self.frames + 1, min(max(wall, 0), MAX_TIME_NS), data, len(data))
-        try:
-            self._writer.write(frame)
-        except CaptureError as error:
-            self._stop(error)
-            return
-        self.frames += 1
-        self._pending = True
+        if self.recording:
+            self.add(self._envelope.frame(octets, source), wall)
+            self._pending = True
 
     def tick(self) -> None:
         """Flush recorded frames if the last flush was at least 1 s ago (up to 30 s in a recording of hours)."""
@@ -111,33 +137,6 @@ class Recorder:
         if now - self._flushed_at < interval:
             return
         self._flushed_at = now
-        if self._writer is None or not self._pending:
-            return
-        self._pending = False
-        try:
-            self._writer.flush()
-        except CaptureError as error:
-            self._stop(error)
-
-    def close(self) -> None:
-        """Finish the file; may be called twice."""
-        writer, self._writer = self._writer, None
-        if writer is None:
-            return
-        try:
-            writer.close()
-        except CaptureError as error:
-            self._report(error)
-
-    def _stop(self, error: CaptureError) -> None:
-        """End the recording because of an error."""
-        writer, self._writer = self._writer, None
-        self._report(error)
-        if writer is not None:
-            with contextlib.suppress(CaptureError):
-                writer.close()
-
-    def _report(self, error: CaptureError) -> None:
-        """Log an error of the file and keep it in ``problem``."""
-        self.problem = str(error)
-        log.error("recording ends after %d frames: %s", self.frames, error)
+        if self._pending:
+            self._pending = False
+            self.flush()

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 
 from .base import PositionSource, Sample
 from .fields import SafetyFields
-from .geometry import NS_PER_S, Vector, distance, moved
+from .geometry import NS_PER_S, Vector, moved
 
 RATE: Final = 20.0
 """Default rate in samples per s: two for each beacon at the usual 10 per s. With one sample per beacon, jitter would
@@ -79,7 +79,7 @@ class Waypoints:
         if not speed > 0:
             raise ValueError(f"speed must be greater than 0 m/s, not {speed:g}")
         stops = [*points, points[0]] if loop and points else points
-        self.legs = [(a, b, distance(a, b) / speed) for a, b in pairwise(stops) if a != b]
+        self.legs = [(a, b, math.dist(a, b) / speed) for a, b in pairwise(stops) if a != b]
         if not self.legs:
             raise ValueError("at least two different points are needed")
         self.speed, self.loop = speed, loop

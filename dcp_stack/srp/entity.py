@@ -25,7 +25,7 @@ from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
 from dcp_stack.positions.geometry import Motion
 from dcp_stack.timestamps import StampClock
 
-from .neighbour_queries import OwnMotion
+from .motion import OwnMotion
 from .neighbour_table import NeighbourTable, seqno_modulus
 
 TIMEOUT: Final = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"

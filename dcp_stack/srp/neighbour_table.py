@@ -1,12 +1,14 @@
 """The neighbour table of SRP (dcp-srp.md, "The Neighbour Table"); times are ns.
 
-The base class in :mod:`dcp_stack.srp.neighbour_queries` has the queries for control loops.
+An entry has the position of its node at the time of the report. Without common clocks the age of a report at its
+reception is unknown: motions start at the reception, and positions are late by the delay of the bearer
+(:meth:`NeighbourTable.delay`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 from dcp_spec.constants import SRP_SEQNO_MODULUS
@@ -14,9 +16,10 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.positions.fields import SafetyFields
+from dcp_stack.positions.geometry import Motion
 from dcp_stack.timestamps import StampClock
 
-from .neighbour_queries import NeighbourQueries
+from .motion import motion_of
 
 RESTART_GAP: Final = 1 << 16
 """A step of the sequence number by this or more, or backwards, counts as a restart of the node, not as loss.
@@ -25,6 +28,11 @@ An entry lives for seconds after a report, and no node makes 65536 reports in th
 """
 EWMA_ALPHA: Final = 0.95
 """Weight of the past in the two averages, the default of the C++ implementation (gapSizeEWMAAlpha)."""
+#: The times and statistics of an entry that are shown unchanged.
+_SHOWN: Final = (
+    *("reception_time", "received_at", "first_seen", "received", "repeated", "lost", "restarts"),
+    *("mean_gap", "mean_interval"),
+)
 
 
 class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
@@ -63,17 +71,12 @@ class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
     before_at: int = 0
     """``fresh_at`` of ``before``."""
 
-    @property
-    def loss_rate(self) -> float:
-        """Return the share of lost reports, 0..1."""
-        return self.lost / (self.lost + self.received)
-
     def age(self, now: int) -> int:
         """Return the time in ns since ``ext_sd`` was received, at the monotonic time ``now``."""
         return now - self.received_at
 
 
-class NeighbourTable(NeighbourQueries):
+class NeighbourTable:
     """The neighbours of one node, at most ``capacity`` of them; see the module docstring for units."""
 
     def __init__(
@@ -120,6 +123,54 @@ class NeighbourTable(NeighbourQueries):
     def list_all_node_ids(self) -> list[bytes]:
         """``ntListAllNodeIds``: return the nodes in the table, in no guaranteed order."""
         return [*self._entries]
+
+    # -- further queries --------------------------------------------------------------------------------------
+
+    def motion(self, entry: NeighbourTableEntry) -> Motion | None:
+        """Return position and velocity at the (first) reception of a report; None without a position.
+
+        The velocity is what the report says, or where the profile has no field for it, that between the last two
+        reports of different sequence numbers by the stamps of their node.
+        """
+        before, elapsed = entry.before, 0
+        if before is not None:
+            # Receptions jitter by a whole beacon period, about the time between two reports; stamps do not. They only
+            # have to be by one clock, which need not be ours.
+            elapsed = self.stamps.between(before.t_stamp, entry.ext_sd.t_stamp)
+            elapsed = elapsed if elapsed > 0 else entry.fresh_at - entry.before_at
+        earlier = None if before is None else before.s_data
+        return motion_of(self.fields, entry.ext_sd.s_data, earlier, elapsed)
+
+    def delay(self, entry: NeighbourTableEntry) -> int | None:
+        """Return the ns from the stamp of a report to its reception: delay of BP and bearer if clocks agree.
+
+        None where the epoch of stamps is not comparable (simulation, boot).
+        """
+        if not self.stamps.comparable:
+            return None
+        return entry.reception_time - self.stamps.wall(entry.ext_sd.t_stamp, near=entry.reception_time)
+
+    def snapshot(self) -> list[dict[str, Any]]:
+        """Return the entries as plain data, by node id: octets as hex, times in ns."""
+        return [self._plain(entry) for entry in sorted(self, key=lambda entry: entry.node_id)]
+
+    def _plain(self, entry: NeighbourTableEntry) -> dict[str, Any]:
+        motion = self.motion(entry)
+        return {
+            "node_id": entry.node_id.hex(":"),
+            "sender_id": entry.sender_id.hex(":"),
+            "safety_data": {
+                name: value.hex() if isinstance(value, bytes) else value
+                for name, value in entry.ext_sd.s_data.as_dict().items()
+            },
+            "t_stamp": entry.ext_sd.t_stamp,
+            "seqno": entry.ext_sd.seqno,
+            **{name: getattr(entry, name) for name in _SHOWN},
+            "delay": self.delay(entry),
+            "position": motion.position if motion is not None else None,
+            "velocity": motion.velocity if motion is not None else None,
+            "velocity_estimated": motion is not None and motion.velocity is not None and motion.estimated,
+        }
 
     # -- maintenance, for SRP itself --------------------------------------------------------------------------
 

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import functools
 import random
-from collections.abc import Callable
 
 import msgspec
 
 from dcp_codec.impairment import Impairment
 
-Delay = Callable[[random.Random], int]
-"""A function that draws the delay of a frame in ns (>= 0), called for each receiver."""
-
 
 class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The losses, duplicates, delays and bit errors of a directed connection. Probabilities are 0..1, times in ns.
 
-    A delay is ``delay`` plus a uniform part of ``jitter``, or drawn from ``distribution``. Frames are not kept in
-    order: a frame with a shorter delay can overtake another. ``reorder`` is the probability of an additional delay of
-    ``reorder_delay``. Both frames of a duplicate have independent delays.
+    A delay is ``delay`` plus a uniform part of ``jitter``. Frames are not kept in order: a frame with a shorter delay
+    can overtake another. ``reorder`` is the probability of an additional delay of ``reorder_delay``. Both frames of a
+    duplicate have independent delays.
 
     Losses are independent (``burst`` 0), or occur in bursts with a mean of ``burst`` frames. ``corrupt`` is the
     probability, for each octet, that one of its bits is inverted; ``corrupt_frames`` is the share of frames in which
@@ -32,7 +28,6 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     delay: int = 0
     jitter: int = 0
     reorder_delay: int = 50_000_000
-    distribution: Delay | None = None
     burst: float = 0.0
     corrupt: float = 0.0
     corrupt_frames: float = 0.0
@@ -51,7 +46,7 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def uniform(self) -> bool:
         """Whether all frames that are not lost arrive once, unchanged and with the same delay."""
-        return not (self.duplicate or self.reorder or self.jitter or self.distribution or self.has_memory)
+        return not (self.duplicate or self.reorder or self.jitter or self.has_memory)
 
     @property
     def has_memory(self) -> bool:
@@ -64,10 +59,7 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     def draw(self, generator: random.Random) -> int:
         """Draw the delay of one frame in ns."""
-        if self.distribution is not None:
-            delay = self.distribution(generator)
-        else:
-            delay = self.delay + (generator.randrange(self.jitter + 1) if self.jitter else 0)
+        delay = self.delay + (generator.randrange(self.jitter + 1) if self.jitter else 0)
         if self.reorder and generator.random() < self.reorder:
             delay += self.reorder_delay
         return delay
@@ -79,13 +71,3 @@ def _impairment(loss: float, burst: float, corrupt: float, corrupt_frames: float
 
 
 PERFECT = Quality()
-
-
-def exponential(minimum: int, mean: int) -> Delay:
-    """Return a delay of ``minimum`` plus an exponentially distributed part with this mean, in ns."""
-    return lambda generator: minimum + round(generator.expovariate(1.0) * mean)
-
-
-def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
-    """Return a normally distributed delay with this mean and standard deviation in ns, never below ``minimum``."""
-    return lambda generator: max(minimum, round(generator.gauss(mean, deviation)))

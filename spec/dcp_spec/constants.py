@@ -6,9 +6,7 @@ the tagged texts v1.0.0 to v1.3.0 and from the draft of 2.0. Layouts of records 
 """
 
 import functools
-from collections.abc import Mapping
 from enum import IntEnum, StrEnum
-from types import MappingProxyType
 from typing import Final, Literal
 
 import msgspec
@@ -31,29 +29,11 @@ SRP_SEQNO_MODULUS: Final = 1 << 32
 IC_MAX_RECORDS: Final = 0xFF
 """Most records in an instruction container: icNumRecords has 8 bits (VD-PAY-05)."""
 
-STRING_MAX_BYTES: Final = 0xFF
-"""Longest StringT in bytes: its length has 8 bits since 1.1 (DATA-07)."""
-
 UWB_MIN_MTU: Final = 256
 """Least maximum packet size of a bearer in bytes, since 1.1 (UWB-03)."""
 
 ETHERTYPE_MIN: Final = 0x0600
 """Values below are lengths, not types, in an Ethernet header (IEEE 802.3)."""
-
-ETHERTYPE_MIN_CPP: Final = 0x0800
-"""Least EtherType that the configuration of the C++ implementation accepts."""
-
-ETHERTYPES: Final[Mapping[str, int]] = MappingProxyType(
-    {
-        "cpp": 0x4953,
-        "cpp-test-configs": 0x606F,
-        "simulator": 0x8999,
-    }
-)
-"""Default EtherTypes of known implementations; the specification gives none.
-
-"cpp-test-configs" is the value that the helper script write-test-configs.pl puts into configuration files.
-"""
 
 
 class SpecVersion(StrEnum):
@@ -102,11 +82,6 @@ class ProtocolId(IntEnum):
     SRP = 1
     VARDIS = 2
 
-    @property
-    def spec_name(self) -> str:
-        """The name in the specification, such as "BP_PROTID_SRP"."""
-        return f"BP_PROTID_{self.name}"
-
 
 BP_PROTID_SRP: Final = ProtocolId.SRP
 BP_PROTID_VARDIS: Final = ProtocolId.VARDIS
@@ -127,11 +102,6 @@ class ICType(IntEnum):
         """The specification's spelling without its prefix, such as "REQUEST-VARUPDATES"."""
         return self.name.replace("_", "-")
 
-    @property
-    def spec_name(self) -> str:
-        """The specification's spelling since 1.1, such as "ICTYPE-REQUEST-VARUPDATES" (IETYPE-... in 1.0)."""
-        return f"ICTYPE-{self.label}"
-
 
 class QueueingMode(StrEnum):
     """BPQueueingMode, spelled as in the specification (BP-QM-06). The values never appear in beacons."""
@@ -147,24 +117,6 @@ class QueueingMode(StrEnum):
     def is_queue(self) -> bool:
         """Whether the mode keeps a queue rather than a buffer for one payload."""
         return self not in (QueueingMode.ONCE, QueueingMode.REPEAT)
-
-
-QUEUEING_MODE_NUMBERS: Final[Mapping[str, Mapping[QueueingMode, int]]] = MappingProxyType(
-    {
-        "cpp": MappingProxyType(
-            {
-                QueueingMode.ONCE: 0,
-                QueueingMode.REPEAT: 1,
-                QueueingMode.QUEUE_DROPTAIL: 2,
-                QueueingMode.QUEUE_DROPHEAD: 3,
-            }
-        ),
-        "student-2024": MappingProxyType(
-            {QueueingMode.QUEUE: 0, QueueingMode.ONCE: 1, QueueingMode.REPEAT: 2},
-        ),
-    }
-)
-"""Numbers by which known implementations pass the modes through their own service interfaces."""
 
 
 def seqno_modulus(width: int) -> int:
@@ -184,8 +136,6 @@ class Features(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     version: SpecVersion
-    header_length: bool = True
-    """BPHeaderT has the field length (BP-HDR-06)."""
     network_id: bool = True
     """BPHeaderT has the field networkId (BP-HDR-04)."""
     queueing_modes: frozenset[QueueingMode] = frozenset(QueueingMode) - {QueueingMode.QUEUE}
@@ -206,8 +156,6 @@ class Features(msgspec.Struct, frozen=True, kw_only=True):
     """BP-TransmitPayload of no bytes clears a ONCE or REPEAT buffer and is not refused (BP-TXP-03)."""
     first_beacon_seqno: int = 0
     """Sequence number of the first beacon (BP-HDR-08, X03)."""
-    uwb_min_mtu: int | None = UWB_MIN_MTU
-    """Least maximum packet size of a bearer in bytes, None where there is no rule (UWB-03)."""
     srp_queueing_mode: QueueingMode = QueueingMode.ONCE
     """Mode with which SRP registers (SRP-INI-03)."""
     vardis_queueing_mode: QueueingMode = QueueingMode.QUEUE_DROPHEAD
@@ -231,8 +179,6 @@ class Features(msgspec.Struct, frozen=True, kw_only=True):
     """Received values and descriptions above the maximum are ignored (VD-PC-04, VD-PC-05, VD-PU-04)."""
     receive_checks_empty_and_repcnt: bool = True
     """Received empty values, empty descriptions and illegal repCnt are ignored as well (VD-PC-06)."""
-    receive_error_policy: Literal["skip-container", "keep-prefix", "free"] = "free"
-    """Reaction to an error while extracting a payload (X34)."""
     rerequest_unknown: bool = True
     """A request for an unknown variable makes the receiver request it, too (VD-RU-01, VD-RC-01, X29)."""
     removed_after_deletion: bool = False
@@ -265,12 +211,10 @@ _V1_2: Final = msgspec.structs.replace(
 _V1_1: Final = msgspec.structs.replace(
     _V1_2,
     version=SpecVersion.V1_1,
-    header_length=False,
     bp_activation=False,
     vardis_activation="flag",
     vardis_queueing_mode=QueueingMode.QUEUE_DROPTAIL,
     receive_checks_empty_and_repcnt=False,
-    receive_error_policy="keep-prefix",
     producer_set_by_vardis=False,
     max_repetitions_bound=None,
 )
@@ -286,7 +230,6 @@ _V1_0: Final = msgspec.structs.replace(
     vardis_activation="none",
     empty_payload_clears_buffer=True,
     first_beacon_seqno=1,
-    uwb_min_mtu=None,
     vardis_queueing_mode=QueueingMode.ONCE,
     string_format="nul-terminated",
     several_containers_per_type=False,
@@ -299,7 +242,6 @@ _V1_0: Final = msgspec.structs.replace(
         ICType.REQUEST_VARUPDATES,
     ),
     receive_checks_too_long=False,
-    receive_error_policy="skip-container",
     rerequest_unknown=False,
     max_repetitions_bound=15,
 )

@@ -121,12 +121,9 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     """A duration may have a fraction, an integer may not; bytes are an identifier."""
     unit: Literal["bytes", "ms", "records", "repetitions", "none"]
     requirement: str
-    """Id of the requirement that the bounds and the default follow."""
+    """Id of the requirement that the bounds follow."""
     meaning: str
     bounds: tuple[Bound, ...] = ()
-    default: Callable[[Sizes], int] | None = None
-    """None where the specification gives no default; the profile has to (X24)."""
-    default_since: SpecVersion = SpecVersion.V1_0
     since: SpecVersion = SpecVersion.V1_0
     configurable: bool = True
     """False for values that are determined once, during initialization."""
@@ -140,12 +137,6 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         """The tightest upper bound in force, None without one."""
         limits = [bound.evaluate(sizes) for bound in self._in_force("maximum", sizes)]
         return min(limits) if limits else None
-
-    def default_value(self, sizes: Sizes) -> int | None:
-        """The default in the version and with the sizes given, None without one."""
-        if self.default is None or sizes.version < self.default_since:
-            return None
-        return self.default(sizes)
 
     def _in_force(self, side: str, sizes: Sizes) -> list[Bound]:
         return [bound for bound in self.bounds if bound.side == side and bound.holds_in(sizes.version)]
@@ -200,8 +191,6 @@ _BP: Final = (
         meaning="Mean time between beacons.",
         # Version 1.0 does not state it, but no beacon comes every 0 ms.
         bounds=(_positive(),),
-        default=lambda _: 100,
-        default_since=_V.V1_1,
     ),
     _bp(
         name="BPPAR_MAXIMUM_PACKET_SIZE",
@@ -217,7 +206,6 @@ _BP: Final = (
             ),
             _up_to("UWB-MaxPacketSize", lambda sizes: sizes.uwb_max_packet_size),
         ),
-        default=lambda sizes: sizes.uwb_max_packet_size,
     ),
     _bp(
         name="BPPAR_NETWORK_ID",
@@ -268,7 +256,6 @@ _SRP: Final = (
         meaning="Time after its last record at which a neighbour is dropped from the table.",
         # Not stated, but no traversal happens five times within no time (SRP-RUN-01).
         bounds=(_positive(),),
-        default=lambda _: 3000,
     ),
 )
 
@@ -287,7 +274,6 @@ _VARDIS: Final = (
                 _V.V1_1,
             ),
         ),
-        default=lambda _: 32,
     ),
     _vardis(
         name="VARDISPAR_MAX_DESCRIPTION_LENGTH",
@@ -301,7 +287,6 @@ _VARDIS: Final = (
                 lambda sizes: sizes.payload - sizes.var_create_without_description,
             ),
         ),
-        default=lambda _: 32,
     ),
     _vardis(
         name="VARDISPAR_MAX_REPETITIONS",

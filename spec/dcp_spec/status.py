@@ -1,7 +1,6 @@
 """Status codes of the confirms of BP, SRP and VarDis, in the spelling of the specification.
 
-Version 1.0 writes most VarDis codes with underscores; `parse` accepts both spellings. The numbers are those
-of the C++ implementation in its command sockets; the specification assigns none.
+Version 1.0 writes most VarDis codes with underscores; `parse` accepts both spellings.
 """
 
 from collections.abc import Mapping
@@ -15,23 +14,20 @@ _V = SpecVersion
 
 
 class StatusCode(StrEnum):
-    """Base of the three enumerations: a string that also knows its history and its number.
+    """Base of the three enumerations: a string that also knows its history.
 
     since: first version of the specification that has the code
     until: last version that has it, None if the draft 2.0 has it
-    cpp: number in the C++ implementation, None if it has none
     meaning: when the code is returned
     """
 
     since: SpecVersion
     until: SpecVersion | None
-    cpp: int | None
     meaning: str
 
     def __new__(
         cls,
         spelling: str,
-        cpp: int | None,
         meaning: str,
         since: SpecVersion = _V.V1_0,
         until: SpecVersion | None = None,
@@ -40,7 +36,6 @@ class StatusCode(StrEnum):
         member._value_ = spelling
         member.since = since
         member.until = until
-        member.cpp = cpp
         member.meaning = meaning
         return member
 
@@ -61,45 +56,32 @@ class StatusCode(StrEnum):
             raise ValueError(f"{cls.__name__} has no code {text!r}")
         return cast("Self", member)
 
-    @classmethod
-    def from_cpp(cls, number: int, version: SpecVersion | str = SpecVersion.V2_0) -> Self:
-        """The code with this number in the C++ implementation of `version`; ValueError for other numbers."""
-        for member in cls:
-            if member.cpp == number and member.holds_in(version):
-                return member
-        raise ValueError(f"{cls.__name__} of version {version} has no code with the number {number:#06x}")
-
 
 class BPStatus(StatusCode):
     """Status codes of BP (dcp-bp.md: Service Interface)."""
 
-    OK = ("BP-STATUS-OK", 0x1000, "The request was carried out.")
+    OK = ("BP-STATUS-OK", "The request was carried out.")
     PROTOCOL_ALREADY_REGISTERED = (
         "BP-STATUS-PROTOCOL-ALREADY-REGISTERED",
-        0x1001,
         "A client protocol is registered under this identifier.",
     )
     ILLEGAL_MAX_PAYLOAD_SIZE = (
         "BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
-        0x1002,
         "The maximum payload size of a registration is not positive or fits into no beacon.",
     )
-    UNKNOWN_PROTOCOL = ("BP-STATUS-UNKNOWN-PROTOCOL", 0x1003, "No client protocol is registered under this identifier.")
+    UNKNOWN_PROTOCOL = ("BP-STATUS-UNKNOWN-PROTOCOL", "No client protocol is registered under this identifier.")
     PAYLOAD_TOO_LARGE = (
         "BP-STATUS-PAYLOAD-TOO-LARGE",
-        0x1004,
         "The payload is longer than the maximum of its registration.",
     )
-    EMPTY_PAYLOAD = ("BP-STATUS-EMPTY-PAYLOAD", 0x1005, "The payload has no bytes.")
+    EMPTY_PAYLOAD = ("BP-STATUS-EMPTY-PAYLOAD", "The payload has no bytes.")
     ILLEGAL_DROPPING_QUEUE_SIZE = (
         "BP-STATUS-ILLEGAL-DROPPING-QUEUE-SIZE",
-        0x1006,
         "The registration asks for a queue without places.",
         _V.V1_1,
     )
     UNKNOWN_QUEUEING_MODE = (
         "BP-STATUS-UNKNOWN-QUEUEING-MODE",
-        0x1007,
         "The queueing mode is not one of the defined modes.",
         _V.V1_1,
     )
@@ -108,57 +90,50 @@ class BPStatus(StatusCode):
 class SRPStatus(StatusCode):
     """Status codes of SRP (dcp-srp.md: Service Interface)."""
 
-    OK = ("SRP-STATUS-OK", 0x3000, "The safety data were accepted for transmission.")
-    INACTIVE = ("SRP-STATUS-INACTIVE", None, "SRP is not registered with BP.")
+    OK = ("SRP-STATUS-OK", "The safety data were accepted for transmission.")
+    INACTIVE = ("SRP-STATUS-INACTIVE", "SRP is not registered with BP.")
 
 
 class VardisStatus(StatusCode):
     """Status codes of VarDis (dcp-vardis.md#vardis-application-service-interface)."""
 
-    OK = ("VARDIS-STATUS-OK", 0x2000, "The request was carried out on this node.")
+    OK = ("VARDIS-STATUS-OK", "The request was carried out on this node.")
     VARIABLE_EXISTS = (
         "VARDIS-STATUS-VARIABLE-EXISTS",
-        0x2001,
         "The database has a variable with this identifier (since 2.0: of another producer).",
     )
     VARIABLE_DESCRIPTION_TOO_LONG = (
         "VARDIS-STATUS-VARIABLE-DESCRIPTION-TOO-LONG",
-        0x2002,
         "The description is longer than VARDISPAR_MAX_DESCRIPTION_LENGTH.",
     )
-    VALUE_TOO_LONG = ("VARDIS-STATUS-VALUE-TOO-LONG", 0x2003, "The value is longer than VARDISPAR_MAX_VALUE_LENGTH.")
-    EMPTY_VALUE = ("VARDIS-STATUS-EMPTY-VALUE", 0x2004, "The value has no bytes.", _V.V1_1)
+    VALUE_TOO_LONG = ("VARDIS-STATUS-VALUE-TOO-LONG", "The value is longer than VARDISPAR_MAX_VALUE_LENGTH.")
+    EMPTY_VALUE = ("VARDIS-STATUS-EMPTY-VALUE", "The value has no bytes.", _V.V1_1)
     INVALID_VALUE = (
         "VARDIS-STATUS-INVALID-VALUE",
-        None,
         "The value has no bytes; named EMPTY-VALUE since 1.1.",
         _V.V1_0,
         _V.V1_0,
     )
     ILLEGAL_REPCOUNT = (
         "VARDIS-STATUS-ILLEGAL-REPCOUNT",
-        0x2005,
         "The repetition count is 0 or above VARDISPAR_MAX_REPETITIONS.",
     )
     VARIABLE_DOES_NOT_EXIST = (
         "VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST",
-        0x2006,
         "The database has no variable with this identifier.",
     )
     NOT_PRODUCER = (
         "VARDIS-STATUS-NOT-PRODUCER",
-        0x2007,
         "The variable has another producer, which alone may change it.",
     )
-    VARIABLE_IS_DELETED = ("VARDIS-STATUS-VARIABLE-IS-DELETED", 0x2008, "The variable is marked as deleted.", _V.V2_0)
+    VARIABLE_IS_DELETED = ("VARDIS-STATUS-VARIABLE-IS-DELETED", "The variable is marked as deleted.", _V.V2_0)
     VARIABLE_BEING_DELETED = (
         "VARDIS-STATUS-VARIABLE-BEING-DELETED",
-        0x2008,
         "The variable is marked for deletion and leaves the database later; named IS-DELETED since 2.0.",
         _V.V1_0,
         _V.V1_3,
     )
-    INACTIVE = ("VARDIS-STATUS-INACTIVE", 0x2009, "VarDis is not active, or not registered with BP.")
+    INACTIVE = ("VARDIS-STATUS-INACTIVE", "VarDis is not active, or not registered with BP.")
 
     def in_version(self, version: SpecVersion | str) -> "VardisStatus":
         """The code that `version` returns in the same situation: two codes were renamed over time."""
@@ -176,18 +151,3 @@ _RENAMED: Final[Mapping[VardisStatus, VardisStatus]] = MappingProxyType(
         VardisStatus.VARIABLE_BEING_DELETED: VardisStatus.VARIABLE_IS_DELETED,
     }
 )
-
-CPP_ONLY_STATUSES: Final[Mapping[int, str]] = MappingProxyType(
-    {
-        0x1008: "BP_STATUS_INACTIVE",
-        0x1100: "BP_STATUS_INTERNAL_ERROR",
-        0x1101: "BP_STATUS_INTERNAL_SHARED_MEMORY_ERROR",
-        0x1102: "BP_STATUS_ILLEGAL_SERVICE_TYPE",
-        0x1103: "BP_STATUS_WRONG_PROTOCOL_TYPE",
-        0x2100: "VARDIS_STATUS_INTERNAL_ERROR",
-        0x2101: "VARDIS_STATUS_APPLICATION_ALREADY_REGISTERED",
-        0x2102: "VARDIS_STATUS_INTERNAL_SHARED_MEMORY_ERROR",
-        0x2103: "VARDIS_STATUS_UNKNOWN_APPLICATION",
-    }
-)
-"""Numbers of the C++ implementation for which the specification has no code, with the names used there."""

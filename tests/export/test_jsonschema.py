@@ -18,7 +18,14 @@ from dcp_spec.profile.loading import load_profile
 from dcp_codec import Codec, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.export.example import example_beacon
-from dcp_codec.export.jsonschema import beacon_schema, container_schema, frame_schema, report_schema, schema_octets
+from dcp_codec.export.jsonschema import (
+    beacon_schema,
+    container_group,
+    frame_schema,
+    record_group,
+    record_schema,
+    schema_octets,
+)
 from dcp_codec.framing.frames import FrameDissector
 from dcp_codec.jsonform import value_json
 from dcp_codec.values import (
@@ -51,6 +58,15 @@ def assert_valid(check, instance):
     """Check ``instance`` after printing and reading it again."""
     found = next(check.iter_errors(json.loads(json.dumps(instance, allow_nan=False))), None)
     assert found is None, f"{found.json_path}: {found.message}"
+
+
+def report_schema(codec: Codec):
+    plan = codec.srp_plan
+    return None if plan is None else record_schema(codec, record_group(plan), "One SRP payload.")
+
+
+def container_schema(codec: Codec):
+    return record_schema(codec, container_group(codec), "One instruction container.")
 
 
 # -- random beacons ---------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 from dcp_spec.profile.definition import Link, OwnField
 
 from dcp_codec import Codec, get_codec
-from dcp_codec.export.lua import filter_name, wireshark_dissector
+from dcp_codec.export.lua import wireshark_dissector
 from dcp_codec.export.lua_text import literal, quoted
 
 from .beacons import everything
@@ -150,10 +150,6 @@ def test_two_fields_with_one_name_are_refused(codec: Codec) -> None:
     own = msgspec.structs.replace(profile, bp=msgspec.structs.replace(profile.bp, payload_header=header))
     with pytest.raises(ValueError, match=r"dcp\.payloads\.srp: rename one in the profile"):
         wireshark_dissector(Codec(own))
-
-
-def test_filter_names_are_paths_without_indices() -> None:
-    assert filter_name("payloads[1].vardis[0].records[13].upd.seqno") == "dcp.payloads.vardis.records.upd.seqno"
 
 
 def test_lua_literals() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import struct
 import subprocess
 import xml.etree.ElementTree as ET
@@ -15,7 +16,6 @@ from dcp_spec.profile.definition import Link
 
 from dcp_codec import Codec, Field
 from dcp_codec.capture import Frame, create_capture, open_capture
-from dcp_codec.export.lua import filter_name
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.plan.tree import Exact, Group, Many, Text
 
@@ -105,6 +105,11 @@ def _packet(root: ET.Element) -> Packet:
 
 
 # -- what we say ------------------------------------------------------------------------------------------------
+
+
+def filter_name(path: str) -> str:
+    """Return the display filter name of the field at ``path`` (a path of our JSON, with or without indices)."""
+    return "dcp." + re.sub(r"\[\d+\]", "", path)
 
 
 def _expected(root: Field) -> Iterator[tuple[str, int, int, Any]]:

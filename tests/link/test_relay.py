@@ -216,7 +216,7 @@ def test_an_invalid_setup_is_refused() -> None:
 
 def test_a_killed_relay_is_reported(make: Make) -> None:
     fabric = make()
-    os.kill(fabric.relay_pid, signal.SIGKILL)
+    os.kill(fabric._relay.pid, signal.SIGKILL)
     with pytest.raises(RelayError, match="the relay has ended"):
         fabric.counters()
     assert fabric.close() == {}

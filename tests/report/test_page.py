@@ -25,7 +25,7 @@ from dcp_tables.report.recorded import gather
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.cli import main
-from dcp_codec.common.pages.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
+from dcp_codec.common.pages.colours import SCHEMES, SYMBOLS
 from dcp_codec.framing.envelope import Envelope
 from dcp_codec.values import Beacon, BPHeader
 
@@ -121,9 +121,9 @@ def test_every_colour_of_a_plot_is_one_of_the_scheme():
 
 class TestAccess:
     @pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
-    @pytest.mark.parametrize("role", FOREGROUNDS)
+    @pytest.mark.parametrize("role", ["ink", "soft", "fail", "accent", *(f"s{number}" for number in range(10))])
     def test_contrast(self, role, scheme):
-        for background in BACKGROUNDS:
+        for background in ("paper", "card", "code"):
             assert contrast(SCHEMES[role][scheme], SCHEMES[background][scheme]) >= 4.5, background
 
     def test_contrast_is_that_of_wcag(self):

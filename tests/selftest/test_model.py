@@ -119,7 +119,7 @@ def test_a_change_that_the_model_can_observe_is_refuted() -> None:
 
 
 def test_a_change_of_no_protocol_is_searched_with_all_themes() -> None:
-    site = next(each for each in sites() if "StampClock.period_ns: arithmetic" in str(each))
+    site = next(each for each in sites() if "StampClock.between: arithmetic" in str(each))
     [(_, result)] = run([site], sequences=2, seed=1, jobs=1)
     assert (result.by, result.sequences) == ("", 2)
 

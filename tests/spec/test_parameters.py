@@ -114,31 +114,6 @@ def test_a_duration_takes_finite_numbers_only(bad):
     assert violation.bound in {"a number", "a finite number"}
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("BPPAR_BEACON_PERIOD", [None, 100, 100, 100, 100]),
-        ("BPPAR_MAXIMUM_PACKET_SIZE", [1400, 1400, 1400, 1400, 1400]),
-        ("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", [3000, 3000, 3000, 3000, 3000]),
-        ("VARDISPAR_MAX_VALUE_LENGTH", [32, 32, 32, 32, 32]),
-        ("VARDISPAR_MAX_DESCRIPTION_LENGTH", [32, 32, 32, 32, 32]),
-        ("VARDISPAR_MAX_REPETITIONS", [None, None, None, None, None]),
-    ],
-)
-def test_defaults_by_version(name, expected):
-    sizes = [Sizes(version=version, uwb_max_packet_size=1400) for version in SpecVersion]
-    assert [parameter(name).default_value(each) for each in sizes] == expected
-
-
-@pytest.mark.parametrize("entry", parameters().values(), ids=lambda entry: entry.name)
-def test_every_default_is_valid(entry):
-    for version in SpecVersion:
-        sizes = Sizes(version=version, uwb_max_packet_size=1492)
-        default = entry.default_value(sizes)
-        if default is not None:
-            assert validate(entry.name, default, sizes) is None
-
-
 @pytest.mark.parametrize("name", ["BPPAR_NETWORK_ID", "VARDISPAR_SCRUBBING_PERIOD"])
 def test_a_parameter_cannot_be_set_before_it_exists(name):
     violation = validate(name, 1, V1_3)

@@ -8,7 +8,7 @@ from importlib import resources
 
 import pytest
 from dcp_spec.catalogue.readings import readings
-from dcp_spec.catalogue.requirements import UnknownRequirementError, depending_on, requirement, requirements
+from dcp_spec.catalogue.requirements import UnknownRequirementError, requirement, requirements
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
@@ -126,11 +126,6 @@ def test_statements_name_the_status_of_the_version_since_which_they_hold():
 def test_every_reading_named_by_a_requirement_exists():
     named = {reading for entry in ENTRIES for reading in entry.readings}
     assert named <= readings().keys()
-
-
-def test_depending_on_finds_the_requirements_of_a_reading():
-    assert {entry.id for entry in depending_on("X02")} == {"BP-HDR-06", "BP-RX-14", "BP-RX-15"}
-    assert depending_on("X99") == ()
 
 
 @pytest.mark.parametrize(

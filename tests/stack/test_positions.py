@@ -24,7 +24,6 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
 from dcp_stack.positions.base import SourceError
 from dcp_stack.positions.fields import FieldError, SafetyFields
-from dcp_stack.positions.geometry import distance
 from dcp_stack.positions.jsonlines import LONGEST_LINE, JsonLines
 from dcp_stack.positions.mavlink import MavlinkStream, local, port_opener
 from dcp_stack.positions.opening import open_source
@@ -148,7 +147,7 @@ def test_nothing_moves_faster_than_its_speed(kind, speed, seconds):
     step = 0.01
     before, _ = path.at(seconds)
     after, velocity = path.at(seconds + step)
-    assert distance(before, after) <= limit * step + 1e-6
+    assert math.dist(before, after) <= limit * step + 1e-6
     assert math.hypot(*velocity) <= limit
 
 

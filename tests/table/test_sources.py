@@ -16,7 +16,7 @@ from mcap.writer import Writer
 
 from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
 from dcp_codec.capture.mcap import raw_frame as rawframe
-from dcp_codec.capture.mcap.reader import RECORD_HEAD
+from dcp_codec.capture.mcap.index import RECORD_HEAD
 
 from ..capture import test_pcapng as pcapng
 from ..capture import test_properties as properties

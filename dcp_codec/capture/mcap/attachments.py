@@ -13,10 +13,8 @@ import msgspec
 from dcp_codec.capture.bytesource import READ_SIZE, ByteSource, explain, open_source
 from dcp_codec.capture.frame import CaptureError
 
-from .index import read_index
+from .index import MAGIC, RECORD_HEAD, read_index
 
-_MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEAD = struct.Struct("<BQ")
 _OPCODE = 0x09
 _FOOTER = 0x02
 _TIMES = struct.Struct("<QQ")
@@ -55,12 +53,12 @@ def attachments(path: str | Path) -> list[Attachment]:
         source.close()
     index = read_index(path)
     for place in index.attachments if index is not None else ():
-        start = place.offset + _RECORD_HEAD.size
+        start = place.offset + RECORD_HEAD.size
         if start not in found:
             source = open_source(path)
             try:
                 source.skip(start)
-                each = _head(source, place.length - _RECORD_HEAD.size)
+                each = read_head(source, place.length - RECORD_HEAD.size)
             finally:
                 source.close()
             if each is not None:
@@ -80,7 +78,7 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
         source.skip(attachment.offset)
         with part.open("wb") as stream:
             start = source.position
-            found = _head(source, _MAX_HEAD + attachment.size)
+            found = read_head(source, _MAX_HEAD + attachment.size)
             if found != attachment:
                 raise CaptureError(f"{path}: has no attachment {attachment.name!r} at octet {start}")
             crc = zlib.crc32(source.buffer[source.start - (source.position - start) : source.start])
@@ -106,12 +104,12 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
 
 
 def _scan(source: ByteSource) -> Iterator[Attachment]:
-    if source.take(len(_MAGIC)) != _MAGIC:
+    if source.take(len(MAGIC)) != MAGIC:
         raise CaptureError(f"{source.name}: {source.failure or 'is not an MCAP file'}")
-    while source.need(_RECORD_HEAD.size) >= _RECORD_HEAD.size:
-        opcode, length = _RECORD_HEAD.unpack(source.take(_RECORD_HEAD.size))
+    while source.need(RECORD_HEAD.size) >= RECORD_HEAD.size:
+        opcode, length = RECORD_HEAD.unpack(source.take(RECORD_HEAD.size))
         end = source.position + length
-        found = _head(source, length) if opcode == _OPCODE else None
+        found = read_head(source, length) if opcode == _OPCODE else None
         left = end - source.position
         if opcode in (0, _FOOTER) or source.skip(left) < left:
             return
@@ -119,7 +117,7 @@ def _scan(source: ByteSource) -> Iterator[Attachment]:
             yield found
 
 
-def _head(source: ByteSource, length: int) -> Attachment | None:
+def read_head(source: ByteSource, length: int) -> Attachment | None:
     """Return the fields before the octets of an attachment, in a record with `length` octets; None if they are invalid.
 
     Moves the cursor to their end.

@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 from dcp_codec.capture.checksum import crc32
 
-_RECORD_HEAD = struct.Struct("<BQ")
-_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
-_MAGIC_LENGTH = 8
+#: Start and end of a file.
+MAGIC = b"\x89MCAP0\r\n"
+#: Opcode and length of the content of a record.
+RECORD_HEAD = struct.Struct("<BQ")
+FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
 _PLACE = struct.Struct("<QQ")  # offset and length of a record with its head
 #: Opcodes: the list of attachments does not need the mcap library.
 _SCHEMA, _CHANNEL, _CHUNK_INDEX, _ATTACHMENT_INDEX = 0x03, 0x04, 0x08, 0x0A
@@ -45,20 +47,20 @@ def read_index(path: str | Path) -> Index | None:
     try:
         with Path(path).open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            end = size - _MAGIC_LENGTH - _FOOTER.size
-            if end < _MAGIC_LENGTH:
+            end = size - len(MAGIC) - FOOTER.size
+            if end < len(MAGIC):
                 return None
             file.seek(end)
-            footer = file.read(_FOOTER.size)
-            start, _, expected = _FOOTER.unpack(footer)
-            head = end - _RECORD_HEAD.size
-            if not _MAGIC_LENGTH <= start <= head or head - start > _MOST:
+            footer = file.read(FOOTER.size)
+            start, _, expected = FOOTER.unpack(footer)
+            head = end - RECORD_HEAD.size
+            if not len(MAGIC) <= start <= head or head - start > _MOST:
                 return None
             file.seek(start)
             summary = file.read(end - start)
     except (OSError, ValueError, struct.error):
         return None
-    if expected and crc32(summary + footer[: _FOOTER.size - 4]) != expected:
+    if expected and crc32(summary + footer[: FOOTER.size - 4]) != expected:
         return None
     return _parsed(summary[: head - start])
 
@@ -66,10 +68,10 @@ def read_index(path: str | Path) -> Index | None:
 def _parsed(summary: bytes) -> Index:
     chunks, attachments, descriptions = [], [], []
     position = 0
-    while position + _RECORD_HEAD.size <= len(summary):
-        opcode, length = _RECORD_HEAD.unpack_from(summary, position)
-        content = summary[position + _RECORD_HEAD.size : position + _RECORD_HEAD.size + length]
-        position += _RECORD_HEAD.size + length
+    while position + RECORD_HEAD.size <= len(summary):
+        opcode, length = RECORD_HEAD.unpack_from(summary, position)
+        content = summary[position + RECORD_HEAD.size : position + RECORD_HEAD.size + length]
+        position += RECORD_HEAD.size + length
         if len(content) < length:
             break
         if opcode == _CHUNK_INDEX and length >= _TIMES + _PLACE.size:
@@ -84,5 +86,5 @@ def _parsed(summary: bytes) -> Index:
 def read_record(path: str | Path, place: Place) -> bytes:
     """Return the content of a record, without its head; shorter if the file ends before."""
     with Path(path).open("rb") as file:
-        file.seek(place.offset + _RECORD_HEAD.size)
-        return file.read(max(place.length - _RECORD_HEAD.size, 0))
+        file.seek(place.offset + RECORD_HEAD.size)
+        return file.read(max(place.length - RECORD_HEAD.size, 0))

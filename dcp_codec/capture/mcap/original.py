@@ -11,11 +11,10 @@ from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.checksum import crc32
 from dcp_codec.capture.frame import CaptureError, Frame
 
-from .index import Index, read_record
+from .attachments import read_head
+from .index import RECORD_HEAD, Index, read_record
 
-_TIMES = struct.Struct("<QQ")
-_LENGTH = struct.Struct("<I")
-_SIZE = struct.Struct("<Q")
+_CRC = struct.Struct("<I")
 #: Maximum length of an attachment that is held in memory, in octets.
 _MOST = 1 << 30
 
@@ -36,22 +35,17 @@ def read_original(path: str, index: Index, link_types: frozenset[int], after: in
         if place.length > _MOST:
             continue
         content = read_record(path, place)
-        octets = content[: -_LENGTH.size]
-        (expected,) = _LENGTH.unpack(content[-_LENGTH.size :])
-        if len(content) + 9 != place.length or not expected or crc32(octets) != expected:
+        (expected,) = _CRC.unpack(content[-_CRC.size :])
+        source = ByteSource(BytesIO(content), path, len(content), owned=False)
+        head = read_head(source, len(content))
+        if head is None or len(content) + RECORD_HEAD.size != place.length:
             continue
-        name, at = _text(octets, _TIMES.size)
-        _, at = _text(octets, at)
-        file = octets[at + _SIZE.size :]
-        frames = list(_frames(file, name, link_types))
+        if not expected or crc32(content[: -_CRC.size]) != expected:
+            continue
+        frames = list(_frames(source.take(head.size), head.name, link_types))
         if len(frames) > after:
-            return Original(name, iter(frames[after:]))
+            return Original(head.name, iter(frames[after:]))
     return None
-
-
-def _text(octets: bytes, at: int) -> tuple[str, int]:
-    (size,) = _LENGTH.unpack_from(octets, at)
-    return octets[at + _LENGTH.size : at + _LENGTH.size + size].decode("utf-8", "replace"), at + _LENGTH.size + size
 
 
 def _frames(file: bytes, name: str, link_types: frozenset[int]) -> Iterator[Frame]:

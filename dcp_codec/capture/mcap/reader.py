@@ -28,18 +28,14 @@ from dcp_codec.capture.reader import CaptureReader, counted
 from . import raw_frame as rawframe
 from . import raw_json as rawjson
 from .chunk import MAX_CHUNK_LENGTH, Chunk, ChunkError, Unpacker
-from .index import read_index, read_record
+from .index import FOOTER, MAGIC, RECORD_HEAD, read_index, read_record
 from .original import read_original
-
-MAGIC = b"\x89MCAP0\r\n"
 
 #: Maximum number of metadata records kept from one file.
 MAX_METADATA = 1_000
 
-RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _DATA_END = struct.Struct("<I")  # checksum of the data section
-_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
 
 #: Records that are read as a whole; all others except chunks are skipped.
 _READ = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER})
@@ -68,7 +64,6 @@ class McapReader(CaptureReader):
         self, source: ByteSource, link_types: frozenset[int], allocate: Callable[[int], memoryview] | None = None
     ) -> None:
         super().__init__(source, link_types)
-        self._stamp = "ns"
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
         #: Channels with raw frames, and their decoders.
@@ -166,7 +161,7 @@ class McapReader(CaptureReader):
         raise _End
 
     def _footer(self, content: bytes, offset: int) -> Never:
-        self._check(_FOOTER, content, crc32(content[: _FOOTER.size - 4], self._crc), "summary section", offset)
+        self._check(FOOTER, content, crc32(content[: FOOTER.size - 4], self._crc), "summary section", offset)
         source = self._source
         end = source.position
         magic = source.take(len(MAGIC))
@@ -198,24 +193,11 @@ class McapReader(CaptureReader):
 
     def _pass_over(self, opcode: int, offset: int, length: int) -> None:
         if opcode == Opcode.CHUNK or opcode in _READ:
-            self._tally(
-                "too-large",
-                lambda times: (
-                    f"{counted(times, 'record')} too large to be read passed over, the first at octet "
-                    f"{offset} with {length} octets."
-                ),
-                offset,
-            )
+            text = f" too large to be read passed over, the first at octet {offset} with {length} octets."
+            self._tally("too-large", "record", text, offset)
         elif opcode not in _KNOWN and opcode < _FIRST_PRIVATE:
-            self._tally(
-                "unknown-record",
-                lambda times: (
-                    f"{counted(times, 'record')} of the unknown type {opcode:#04x}, the first at octet "
-                    f"{offset}, passed over."
-                ),
-                offset,
-                of=opcode,
-            )
+            text = f" of the unknown type {opcode:#04x}, the first at octet {offset}, passed over."
+            self._tally("unknown-record", "record", text, offset, of=opcode)
         left = length
         while left:
             piece = self._source.take(min(left, READ_SIZE))
@@ -264,14 +246,8 @@ class McapReader(CaptureReader):
         yield from self._inside(chunk.records, where, whole=False)
         read = self._frames_read - before
         what = f"{counted(read, 'frame')} of it read all the same" if read else "passed over"
-        self._tally(
-            error.reason,
-            lambda times, why=str(error): (
-                f"{counted(times, 'chunk')} damaged, the first at octet "  # type: ignore[misc]
-                f"{offset} with {length} octets: it {why}; {what}."
-            ),
-            offset,
-        )
+        text = f" damaged, the first at octet {offset} with {length} octets: it {error}; {what}."
+        self._tally(error.reason, "chunk", text, offset)
 
     def _given(self, frame: Frame) -> Iterator[Frame]:
         """Yield a frame that does not come from a message."""
@@ -396,32 +372,16 @@ class McapReader(CaptureReader):
     # Problems of single records. They are counted and never end the reading.
 
     def _bad_record(self, offset: int, why: str) -> None:
-        self._tally(
-            "bad-record",
-            lambda times: f"{counted(times, 'record')} damaged and passed over, the first {_place(offset)} ({why}).",
-            offset,
-        )
+        text = f" damaged and passed over, the first {_place(offset)} ({why})."
+        self._tally("bad-record", "record", text, offset)
 
     def _bad_message(self, error: Exception, offset: int) -> None:
-        self._tally(
-            "bad-message",
-            lambda times: (
-                f"{counted(times, 'message')} that should be raw frames passed over, the first "
-                f"{_place(offset)} ({error})."
-            ),
-            offset,
-        )
+        text = f" that should be raw frames passed over, the first {_place(offset)} ({error})."
+        self._tally("bad-message", "message", text, offset)
 
     def _wrong_link_type(self, link_type: int, offset: int) -> None:
-        self._tally(
-            "wrong-link-type",
-            lambda times: (
-                f"{counted(times, 'frame')} passed over, the first {_place(offset)}: the link type is "
-                f"{link_type_name(link_type)}."
-            ),
-            offset,
-            of=link_type,
-        )
+        text = f" passed over, the first {_place(offset)}: the link type is {link_type_name(link_type)}."
+        self._tally("wrong-link-type", "frame", text, offset, of=link_type)
 
 
 def _own_length(opcode: int, content: memoryview, length: int) -> int:

@@ -14,12 +14,12 @@ from dcp_codec.capture.frame import (
 from dcp_codec.capture.linktypes import wrong_link_type
 from dcp_codec.capture.reader import CaptureReader
 
-#: First four octets -> byte order for struct, unit of the stamps, nanoseconds per unit.
+#: First four octets -> byte order for struct, nanoseconds per unit of the stamps.
 MAGICS = {
-    b"\xd4\xc3\xb2\xa1": ("<", "us", 1000),
-    b"\xa1\xb2\xc3\xd4": (">", "us", 1000),
-    b"\x4d\x3c\xb2\xa1": ("<", "ns", 1),
-    b"\xa1\xb2\x3c\x4d": (">", "ns", 1),
+    b"\xd4\xc3\xb2\xa1": ("<", 1000),
+    b"\xa1\xb2\xc3\xd4": (">", 1000),
+    b"\x4d\x3c\xb2\xa1": ("<", 1),
+    b"\xa1\xb2\x3c\x4d": (">", 1),
 }
 
 #: Alexey Kuznetzov's variant of the 1990s, with eight more octets in each record header.
@@ -47,7 +47,7 @@ class PcapReader(CaptureReader):
             raise self._refuse(
                 f"is cut off in the header of a pcap file, which needs {HEADER_LENGTH} octets: there are {len(header)}"
             )
-        self._order, self._stamp, self._scale = MAGICS[header[:4]]
+        self._order, self._scale = MAGICS[header[:4]]
         major, minor, _zone, _figures, snap, link = struct.unpack_from(self._order + "HHiIII", header, 4)
         if (major, minor) != (2, 4):
             raise self._refuse(

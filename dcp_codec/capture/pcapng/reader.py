@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import ETHERNET, MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
-from dcp_codec.capture.linktypes import wrong_link_type
+from dcp_codec.capture.linktypes import link_type_name, wrong_link_type
 from dcp_codec.capture.reader import CaptureReader
 
 from .blocks import (
@@ -29,7 +29,6 @@ from .blocks import (
     block_name,
     options,
 )
-from .problems import BlockProblems
 
 #: Maximum number of interfaces in one file; a file with more counts as damaged.
 MAX_INTERFACES = 65_536
@@ -56,22 +55,22 @@ class PcapngReader(CaptureReader):
 
     def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
         super().__init__(source, link_types)
-        self._block_problems = BlockProblems(self._tally)
         self._order = "<"
         self._sections = 0
         self._interface_count = 0
         self._interfaces: list[Interface] = []
+        self._accepted = False
         self._unpack_packet = _PACKET_HEADS["<"]
         self._pending: Frame | None = None
         self._going = self._block()
         if not self._sections:
             raise self._refuse(self._log.found[-1].message)
         refused = ETHERNET
-        while self._going and not self._stamp:
+        while self._going and not self._accepted:
             self._going = self._block()
             if self._interfaces:
                 refused = self._interfaces[-1].link_type
-        if not self._stamp and self._interface_count:
+        if not self._accepted and self._interface_count:
             raise self._refuse(f"has {wrong_link_type(refused, link_types)}")
 
     @property
@@ -201,7 +200,8 @@ class PcapngReader(CaptureReader):
 
     def _pass_over(self, kind: int, offset: int) -> bool:
         if kind not in SKIPPED:
-            self._block_problems.unknown_block(kind, offset, self._number)
+            text = f" of the unknown type {kind:#010x}, the first at octet {offset}, passed over."
+            self._tally("unknown-block", "block", text, offset, of=kind)
         return True
 
     def _section(self, buffer: bytes, start: int, total: int) -> bool:
@@ -229,8 +229,7 @@ class PcapngReader(CaptureReader):
         self._describe(name, INTERFACE_OPTIONS, buffer, start, start + 16, start + total - 4, interface)
         if name in self._metadata:
             self._metadata[name] |= {"linkType": str(link_type), "resolution": interface.resolution}
-        if accepted and not self._stamp:
-            self._stamp = interface.resolution
+        self._accepted = self._accepted or accepted
         return True
 
     def _describe(
@@ -257,21 +256,11 @@ class PcapngReader(CaptureReader):
             self._metadata[name] = record
 
     def _statistics(self, buffer: bytes, start: int, total: int) -> None:
-        interface = self._interface_of(struct.unpack_from(self._order + "I", buffer, start + 8)[0], start)
-        if interface is None or not interface.accepted:
-            return
-        drops: dict[int, int] = {}
-        try:
-            for code, value in options(buffer, start + 20, start + total - 4, self._order):
-                if code in (ISB_IFDROP, ISB_OSDROP):
-                    if len(value) != 8:
-                        raise BadOptionError(f"a drop counter has {len(value)} octets, not 8")
-                    drops[code] = struct.unpack(self._order + "Q", value)[0]
-        except BadOptionError as error:
-            self._bad_option(error, start)
-        if drops:
-            # The counters run from the start of the capture, so the last block has the total.
-            self._dropped[interface.index] = sum(drops.values())
+        which = struct.unpack_from(self._order + "I", buffer, start + 8)[0]
+        if which >= len(self._interfaces):
+            self._unknown_interface(self._source.base + start)
+        elif self._interfaces[which].accepted:
+            self._check_options(buffer, start + 20, start + total - 4, start, counters=(ISB_IFDROP, ISB_OSDROP))
 
     def _packet(self, kind: int, buffer: bytes, start: int, total: int) -> Frame | None:
         """Return the frame of an enhanced, or obsolete, packet block."""
@@ -320,40 +309,56 @@ class PcapngReader(CaptureReader):
             self._does_not_fit(captured, room, start)
             return None
         offset = self._source.base + start
-        self._block_problems.no_time(offset, self._number - 1)
+        text = f", the first at octet {offset}, without a time of capture: 0 stands for it."
+        self._tally("no-time", "simple packet block", text, offset, self._number - 1)
         body = start + 12
         return Frame(self._number, 0, buffer[body : body + captured], length, interface.index, offset)
 
-    def _interface_of(self, which: int, start: int) -> Interface | None:
-        if which < len(self._interfaces):
-            return self._interfaces[which]
-        self._block_problems.unknown_interface(self._source.base + start, self._number)
-        return None
+    def _unknown_interface(self, offset: int) -> None:
+        text = f", the first at octet {offset}, for an interface that its section does not describe, passed over."
+        self._tally("unknown-interface", "block", text, offset)
 
     def _not_wanted(self, interface: Interface | None, start: int) -> None:
+        """Count a frame of an unknown interface, or of one with another link type."""
         offset = self._source.base + start
         if interface is None:
-            self._block_problems.unknown_interface(offset, self._number)
-        else:
-            self._block_problems.wrong_link_type(interface, offset, self._number - 1)
+            self._unknown_interface(offset)
+            return
+        index, kind = interface.index, link_type_name(interface.link_type)
+        text = f" of interface {index} passed over: its link type is {kind}."
+        self._tally("wrong-link-type", "frame", text, offset, self._number - 1, index)
 
     def _does_not_fit(self, captured: int, room: int, start: int) -> None:
-        self._block_problems.does_not_fit(captured, room, self._source.base + start, self._number - 1)
+        """Count a frame that states more octets than its block has."""
+        offset = self._source.base + start
+        place = f"the first in the block at octet {offset}"
+        text = f" passed over, {place}, which claims {captured} octets where its block has {room}."
+        self._tally("bad-record", "frame", text, offset, self._number - 1)
 
-    def _check_options(self, buffer: bytes, start: int, stop: int, block: int) -> None:
+    def _check_options(
+        self, buffer: bytes, start: int, stop: int, block: int, *, counters: tuple[int, ...] = ()
+    ) -> None:
+        """Count damaged options, and ``counters`` that have not 8 octets."""
         try:
-            for _ in options(buffer, start, stop, self._order):
-                pass
+            for code, value in options(buffer, start, stop, self._order):
+                if code in counters and len(value) != 8:
+                    raise BadOptionError(f"a drop counter has {len(value)} octets, not 8")
         except BadOptionError as error:
             self._bad_option(error, block)
 
     def _bad_option(self, error: BadOptionError, start: int) -> None:
-        self._block_problems.bad_option(error, self._source.base + start, self._number)
+        """Count damaged options of a block whose other parts were read."""
+        offset = self._source.base + start
+        place = f"the first at octet {offset} ({error})"
+        text = f" with options that are damaged, {place}; the rest of such a block was read."
+        self._tally("bad-option", "block", text, offset)
 
     def _rounded(self, scaled: int, interface: Interface, start: int) -> int:
         """Return `scaled` / `divide`, rounded to the nearest nanosecond."""
         time_ns, rest = divmod(scaled, interface.divide)
         if not rest:
             return time_ns
-        self._block_problems.rounded_time(interface, self._source.base + start, self._number - 1)
+        index, unit = interface.index, interface.resolution
+        text = f" of interface {index}, whose clock counts in {unit}, rounded to the nearest nanosecond."
+        self._tally("rounded-time", "time", text, self._source.base + start, self._number - 1, index)
         return time_ns + (2 * rest >= interface.divide)

@@ -31,9 +31,6 @@ SCHEMES: dict[str, tuple[str, str]] = {
     "s8": ("#7a4b21", "#cc9a6e"),
     "s9": ("#5a6c00", "#b5cc4d"),
 }
-#: Roles of text and lines, which must be legible on each of BACKGROUNDS.
-FOREGROUNDS = ("ink", "soft", "fail", "accent", *(f"s{number}" for number in range(10)))
-BACKGROUNDS = ("paper", "card", "code")
 
 #: Marker of Bokeh and the equivalent character of each series, in the order of colours.
 SYMBOLS = (

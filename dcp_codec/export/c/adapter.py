@@ -16,7 +16,7 @@ from dcp_codec.export.wording import constant, snake_name
 from dcp_codec.plan.measures import largest
 from dcp_codec.plan.tree import Group, Scalar
 
-from .files import filled, header_file, template
+from .files import filled, header_file, names_function, template
 from .header import heading
 from .names import comment, member_name, value_type
 
@@ -119,7 +119,7 @@ class _Contract:
                 lines.append(f"    {_TYPES[kind]} {member_name(member)};")
                 lines += [f"    bool has_{member_name(member)};"] if told else []
             lines += [f"}} dcp_{snake_name(name)}_params_t;", ""]
-        lines += ["/* One function for each method of the contract; NULL: the node has no such method. Each calls", *()]
+        lines += ["/* One function for each method of the contract; NULL: the node has no such method. Each calls"]
         lines += [
             " * dcp_result or dcp_error once; node is that of dcp_handle_line. */",
             "typedef struct dcp_methods {",
@@ -143,12 +143,7 @@ class _Contract:
 
     def statuses(self) -> str:
         """Return the names of the statuses."""
-        names = ",\n".join(f'        "{name}"' for name in self._statuses())
-        return (
-            "const char *dcp_status_name(dcp_status_t status)\n{\n"
-            f"    static const char *const names[] = {{\n{names}\n    }};\n"
-            '    return (size_t)status < sizeof names / sizeof *names ? names[status] : "";\n}\n\n'
-        )
+        return names_function("status", self._statuses()) + "\n"
 
     def dispatch(self) -> str:
         """Return the parameter tables and the function that calls methods."""
@@ -250,8 +245,7 @@ class _Contract:
         ]
         arguments = ["dcp_out_t *out"]
         for member, kind, optional in members:
-            given = snake_name(member)
-            given = f"{given}_" if given in ("event", "new") and given == "new" else given
+            given = member_name(member)
             if kind in ("HEX", "NODE_ID"):
                 arguments.append(f"const dcp_octets_t *{given}")
             elif kind == "TEXT":
@@ -273,8 +267,7 @@ class _Contract:
             lines += [signature, "{", "    begin_message(out);", f'    dcp_put_text(out, "method", "{name}");']
             lines.append('    dcp_begin_object(out, "params");')
             for member, kind, optional in members:
-                given = snake_name(member)
-                given = f"{given}_" if given == "new" else given
+                given = member_name(member)
                 if kind in ("HEX", "NODE_ID"):
                     function = "dcp_put_octets_hex" if kind == "HEX" else "dcp_put_node_id"
                     lines += [f"    if ({given} != NULL)"] if optional else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import resources
 
 from dcp_spec.reasons import REASONS
@@ -40,7 +40,9 @@ def codec_files(codec: Codec) -> dict[str, str]:
         "INLINE": f"{shared.helpers()}\n{inline}".rstrip(),
     }
     header = header_file("DCP_CODEC", first, _INCLUDES, filled(_BODY, marks))
-    source = f'{first}\n#include "dcp_codec.h"\n\n{_names(identifiers)}\n{scalars.helpers(shared)}\n{body}'
+    requirements = ["", *(name.replace("_", "-") for name in identifiers)]
+    names = f"{names_function('reason', ['ok', *REASONS])}\n{names_function('requirement', requirements)}"
+    source = f'{first}\n#include "dcp_codec.h"\n\n{names}\n{scalars.helpers(shared)}\n{body}'
     return {"dcp_codec.h": header, "dcp_codec.c": source.rstrip() + "\n"}
 
 
@@ -72,14 +74,10 @@ def _common(identifiers: list[str]) -> str:
     return filled(template("common.h"), marks).rstrip()
 
 
-def _names(identifiers: list[str]) -> str:
-    reasons = ["ok", *REASONS]
-    spelled = ["", *(name.replace("_", "-") for name in identifiers)]
-    return filled(_NAMES, {"REASONS": _quoted(reasons), "REQUIREMENTS": _quoted(spelled)})
-
-
-def _quoted(names: list[str]) -> str:
-    return ",\n".join(f'        "{name}"' for name in names)
+def names_function(of: str, names: Iterable[str]) -> str:
+    """Return the function that names the enumerators of a type."""
+    quoted = ",\n".join(f'        "{name}"' for name in names)
+    return filled(_NAMES, {"OF": of, "NAMES": quoted})
 
 
 _HEADER = """@HEADING@
@@ -118,19 +116,11 @@ const char *dcp_requirement_name(dcp_requirement_t requirement);
 /* Records of containers are read and added by functions that compilers can inline. */
 
 @INLINE@"""
-_NAMES = """const char *dcp_reason_name(dcp_reason_t reason)
+_NAMES = """const char *dcp_@OF@_name(dcp_@OF@_t @OF@)
 {
     static const char *const names[] = {
-@REASONS@
+@NAMES@
     };
-    return (size_t)reason < sizeof names / sizeof *names ? names[reason] : "";
-}
-
-const char *dcp_requirement_name(dcp_requirement_t requirement)
-{
-    static const char *const names[] = {
-@REQUIREMENTS@
-    };
-    return (size_t)requirement < sizeof names / sizeof *names ? names[requirement] : "";
+    return (size_t)@OF@ < sizeof names / sizeof *names ? names[@OF@] : "";
 }
 """

@@ -18,10 +18,9 @@ def constants(shape: Shape) -> Iterator[str]:
     """Yield the numbers of protocols and containers, and sizes."""
     for label, number in shape.protocols.items():
         yield f"#define DCP_PROTOCOL_{constant(label)} {number}u"
-    ic_type = shape.scalar_or_none(shape.container, "icType")
+    ic_type = shape.scalar(shape.container, "icType")
     assert ic_type is not None
-    assert isinstance(ic_type.node, Scalar)
-    names = ic_type.node.names or {}
+    names = ic_type.names or {}
     for number in sorted(shape.records):
         yield f"#define DCP_IC_{constant(names.get(number, shape.records[number].group.type_name))} {number}u"
     yield ""

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from dcp_codec.export.shape import Part, Record, Run
 from dcp_codec.export.wording import constant
-from dcp_codec.plan.tree import Scalar, Text
+from dcp_codec.plan.tree import Region, Scalar, Text
 
 from .names import access, cite, comment, stem
 from .scalars import Functions
@@ -42,12 +42,12 @@ class Reading(Functions):
         lengths = {
             f"n{number}_{index}": prefix
             for number, run in enumerate(runs, start=1)
-            if run.text is not None and isinstance(run.text.node, Text)
+            if run.text is not None
             for index, prefix in enumerate(run.text.node.prefixes, start=1)
         }
         for variable, prefix in lengths.items():
             self.add(f"    {'uint64_t' if prefix.size > 4 else 'uint32_t'} {variable};")
-        if any(run.text is not None and isinstance(run.text.node, Text) and run.text.node.terminated for run in runs):
+        if any(run.text is not None and run.text.node.terminated for run in runs):
             self.add("    size_t stop;")
         for number, run in enumerate(runs, start=1):
             self._run(record, run, number, marks)
@@ -61,7 +61,7 @@ class Reading(Functions):
             "{",
         )
         for number, run in enumerate(record.runs(), start=1):
-            if run.text is not None and isinstance(run.text.node, Text):
+            if run.text is not None:
                 for index, prefix in enumerate(run.text.node.prefixes, start=1):
                     self.add(f"    {'uint64_t' if prefix.size > 4 else 'uint32_t'} n{number}_{index};")
                 if run.text.node.terminated:
@@ -77,7 +77,6 @@ class Reading(Functions):
         place = 0
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             assert node.rule is None
             target = access(part.path)
             if run.text is not None and part.path[:-1] == run.text.path:
@@ -88,7 +87,6 @@ class Reading(Functions):
             self.add(f"    p += {place};")
         if run.text is None:
             return
-        assert isinstance(run.text.node, Text)
         text, stop = access(run.text.path), f"stop{number}"
         self.add(f"    {text}.data = p;")
         if not lengths:
@@ -120,7 +118,6 @@ class Reading(Functions):
         self.add(f"static const field_t {table}[] = {{")
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             rule, little = node.rule, "true" if node.order == "little" and node.size > 1 else "false"
             expected = "0" if rule is None or rule.value is None else f"0x{rule.value:x}"
             self.add(
@@ -130,28 +127,38 @@ class Reading(Functions):
             )
         self.add("};")
 
+    def fail_if(
+        self, wrong: str, code: str, requirement: str | None, field: str, at: str, values: str, *, wrapped: bool = True
+    ) -> None:
+        """Emit a condition and the return of its problem. ``values``: what is needed, and what is available."""
+        reader, space = "&r" if "r.at" in wrong else "r", f",\n{' ' * 20}" if wrapped else ", "
+        self.add(f"    if ({wrong})")
+        self.add(f'        return fail({reader}, {code}, {needs(requirement)}, "{field}", {at}{space}{values});')
+
+    def fits(self, left: str, length: str, region: Region, at: str) -> None:
+        """Emit the problem of a length at ``at`` that is greater than the number of octets that are left."""
+        values = f"{length}, {left}"
+        self.fail_if(f"{left} < {length}", reason(region.reason), region.requirement, region.length, at, values)
+
     @staticmethod
-    def path(record: Record, part: Part) -> str:
+    def path(record: Record, part: Part[Scalar | Text]) -> str:
         return ".".join((*record.path, *part.path))
 
     def _run(self, record: Record, run: Run, number: int, marks: Mapping[str, str]) -> None:
         size, place, rules, offset = run.size, 0, [], ""
-        lengths: list[tuple[str, int, Part]] = []
+        lengths: list[tuple[str, int, Part[Scalar]]] = []
         if run.scalars:
             table = f"{stem(record.group)}_{number}"
             self.add(f"    if (r->end - r->at < {size}u)")
             self.add(f"        return cut_off(r, {table}, {len(run.scalars)}u);")
             self.add("    p = r->octets + r->at;")
-        inner = len(run.text.path) + 1 if run.text else 0
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             offset = f" + {place}u" if place else ""
             if part.path[-1] in marks and len(part.path) == 1:
                 self.add(f"    *{marks[part.path[-1]]} = r->at{offset};")
             value = self.scalars.read(node, place)
-            of_text = run.text is not None and len(part.path) == inner and part.path[:-1] == run.text.path
-            if of_text:
+            if run.text is not None and part.path[:-1] == run.text.path:
                 variable = f"n{number}_{len(lengths) + 1}"
                 lengths.append((variable, place, part))
                 self.add(f"    {variable} = {value};")
@@ -167,58 +174,37 @@ class Reading(Functions):
         for wrong, node, part, offset, value in rules:
             assert node.rule is not None
             expected = "1u" if node.rule.value is None else f"0x{node.rule.value:x}u"
-            self.add(
-                f"    if ({wrong})",
-                f"        return fail(r, {reason(node.rule.reason)}, {needs(node.rule.requirement)}, "
-                f'"{self.path(record, part)}", r->at{offset},',
-                f"                    {expected}, {value});",
-            )
+            code, place_of = reason(node.rule.reason), self.path(record, part)
+            self.fail_if(wrong, code, node.rule.requirement, place_of, f"r->at{offset}", f"{expected}, {value}")
         if run.text is None:
             if size:
                 self.add(f"    r->at += {size}u;")
             return
         for variable, position, part in lengths[1:]:
-            first = lengths[0][0]
-            self.add(
-                f"    if ({variable} != {first})",
-                f'        return fail(r, DCP_LENGTH_MISMATCH, DCP_DATA_06, "{self.path(record, part)}", '
-                f"r->at + {position}u,",
-                f"                    {first}, {variable});",
-            )
+            wrong, values = f"{variable} != {lengths[0][0]}", f"{lengths[0][0]}, {variable}"
+            at = f"r->at + {position}u"
+            self.fail_if(wrong, "DCP_LENGTH_MISMATCH", "DATA-06", self.path(record, part), at, values)
         if size:
             self.add(f"    r->at += {size}u;")
         self._text(record, run.text, [variable for variable, *_ in lengths])
 
-    def _text(self, record: Record, part: Part, lengths: list[str]) -> None:
+    def _text(self, record: Record, part: Part[Text], lengths: list[str]) -> None:
         text, target = part.node, access(part.path)
-        assert isinstance(text, Text)
         name = self.path(record, part)
         if not lengths:
-            self.add(
-                "    for (stop = r->at; stop < r->end && r->octets[stop] != 0u; stop++)",
-                "        ;",
-                "    if (stop == r->end)",
-                f'        return fail(r, DCP_TRUNCATED, {needs(text.requirement)}, "{name}", r->end, 1u, 0);',
-                f"    {target}.data = r->octets + r->at;",
-                f"    {target}.size = stop - r->at;",
-                "    r->at = stop + 1u;",
-            )
+            self.add("    for (stop = r->at; stop < r->end && r->octets[stop] != 0u; stop++)", "        ;")
+            self.fail_if("stop == r->end", "DCP_TRUNCATED", text.requirement, name, "r->end", "1u, 0", wrapped=False)
+            self.add(f"    {target}.data = r->octets + r->at;", f"    {target}.size = stop - r->at;")
+            self.add("    r->at = stop + 1u;")
             return
-        size = lengths[0]
-        self.add(
-            f"    if (r->end - r->at < {size})",
-            f'        return fail(r, DCP_TRUNCATED, {needs(text.requirement)}, "{name}.data", r->at, {size}, '
-            "r->end - r->at);",
-            f"    {target}.data = r->octets + r->at;",
-            f"    {target}.size = (size_t){size};",
-        )
+        size, data, at = lengths[0], f"{name}.data", "r->at"
+        wrong, values = f"r->end - r->at < {size}", f"{size}, r->end - r->at"
+        self.fail_if(wrong, "DCP_TRUNCATED", text.requirement, data, at, values, wrapped=False)
+        self.add(f"    {target}.data = r->octets + r->at;", f"    {target}.size = (size_t){size};")
         if text.terminated:
-            self.add(
-                "    for (stop = 0; stop < " + target + ".size && " + target + ".data[stop] != 0u; stop++)",
-                "        ;",
-                f"    if ({size} == 0u || stop != {target}.size - 1u)",
-                f'        return fail(r, DCP_BAD_TERMINATOR, DCP_DATA_07, "{name}.data", r->at, 0, 0);',
-            )
+            self.add(f"    for (stop = 0; stop < {target}.size && {target}.data[stop] != 0u; stop++)", "        ;")
+            wrong = f"{size} == 0u || stop != {target}.size - 1u"
+            self.fail_if(wrong, "DCP_BAD_TERMINATOR", "DATA-07", data, at, "0, 0", wrapped=False)
         self.add(f"    r->at += {target}.size;")
         if text.terminated:
             self.add(f"    {target}.size -= 1u;")
@@ -229,11 +215,11 @@ class Reading(Functions):
         """Return all reading functions."""
         shape = self.shape
         if shape.header is not None:
-            self.record(shape.header, self._header_marks())
+            self.record(shape.header, shape.header_marks)
         self.record(shape.payload, {shape.content.length: "length_at"})
         if shape.srp is not None:
             self.record(shape.srp)
-        self.record(shape.container, self._container_marks())
+        self.record(shape.container, shape.container_marks)
         for record in shape.all_records():
             self.record(record)
         self._beacon()
@@ -242,18 +228,6 @@ class Reading(Functions):
         self._containers()
         self._check()
         return "\n".join(self.lines)
-
-    def _header_marks(self) -> dict[str, str]:
-        marks = {"numPayloads": "count_at"}
-        if self.shape.region is not None:
-            marks[self.shape.region.length.rsplit(".", 1)[-1]] = "length_at"
-        return marks
-
-    def _container_marks(self) -> dict[str, str]:
-        marks = {"icType": "type_at"}
-        if self.shape.list_region is not None:
-            marks[self.shape.list_region.length] = "length_at"
-        return marks
 
     def _beacon(self) -> None:
         shape = self.shape
@@ -264,20 +238,14 @@ class Reading(Functions):
         )
         self.add("    reader_t r;")
         if shape.header is not None:
-            self.add(f"    size_t {', '.join(f'{place} = 0' for place in self._header_marks().values())};")
+            self.add(f"    size_t {', '.join(f'{place} = 0' for place in shape.header_marks.values())};")
         self.add("    begin(&r, octets, size, problem);")
         if shape.header is not None:
-            places = ", ".join(f"&{place}" for place in self._header_marks().values())
+            places = ", ".join(f"&{place}" for place in shape.header_marks.values())
             self.add(f"    if (!read_{stem(shape.header.group)}(&r, &beacon->bp, {places}))", "        return false;")
         if shape.region is not None:
-            region = shape.region
-            self.add(
-                "    if (r.end - r.at < beacon->bp.length)",
-                f'        return fail(&r, {reason(region.reason)}, {needs(region.requirement)}, "{region.length}", '
-                "length_at,",
-                "                    beacon->bp.length, r.end - r.at);",
-                "    r.end = r.at + (size_t)beacon->bp.length;",
-            )
+            self.fits("r.end - r.at", "beacon->bp.length", shape.region, "length_at")
+            self.add("    r.end = r.at + (size_t)beacon->bp.length;")
         self.add(*(f"    {line}" for line in listed))
         self.add("    beacon->payloads.taken = 0;")
         if shape.header is not None:
@@ -313,11 +281,8 @@ class Reading(Functions):
                 )
             self.add("        return false;", "    }")
         self.add("    if (!read_payload(r, payload, length_at))", "        return false;")
+        self.fits("r->end - r->at", "payload->length", content, "*length_at")
         self.add(
-            "    if (r->end - r->at < payload->length)",
-            f'        return fail(r, {reason(content.reason)}, {needs(content.requirement)}, "{content.length}", '
-            "*length_at,",
-            "                    payload->length, r->end - r->at);",
             "    payload->content.data = r->octets + r->at;",
             "    payload->content.size = (size_t)payload->length;",
             "    payload->content_at = r->at;",
@@ -326,25 +291,19 @@ class Reading(Functions):
             "",
         )
         if shape.fill:
-            total = shape.fill.total
+            fill, total = shape.fill, shape.fill.total
             self.add(
                 "/* Read the unused rest of the area after a content. */",
                 "static inline bool read_area(reader_t *r, dcp_payload_t *payload, size_t length_at)",
                 "{",
-                f"    if (payload->length > {total}u)",
-                f"        return fail(r, {reason(shape.fill.reason)}, {needs(shape.fill.requirement)}, "
-                f'"{shape.fill.used}", length_at,',
-                f"                    payload->length, {total}u);",
-                "    payload->area.data = r->octets + r->at;",
-                f"    payload->area.size = {total}u - payload->content.size;",
-                "    if (r->end - r->at < payload->area.size)",
-                f'        return fail(r, DCP_TRUNCATED, {needs(shape.fill.requirement)}, "{shape.fill.name}", r->at,',
-                "                    payload->area.size, r->end - r->at);",
-                "    r->at += payload->area.size;",
-                "    return true;",
-                "}",
-                "",
             )
+            wrong, values = f"payload->length > {total}u", f"payload->length, {total}u"
+            self.fail_if(wrong, reason(fill.reason), fill.requirement, fill.used, "length_at", values)
+            self.add("    payload->area.data = r->octets + r->at;")
+            self.add(f"    payload->area.size = {total}u - payload->content.size;")
+            wrong, values = "r->end - r->at < payload->area.size", "payload->area.size, r->end - r->at"
+            self.fail_if(wrong, "DCP_TRUNCATED", fill.requirement, fill.name, "r->at", values)
+            self.add("    r->at += payload->area.size;", "    return true;", "}", "")
         self.add(
             "bool dcp_next_payload(dcp_list_t *payloads, dcp_payload_t *payload, dcp_problem_t *problem)",
             "{",
@@ -367,11 +326,8 @@ class Reading(Functions):
         exact, label = shape.srp_exact, ".".join(shape.srp.path)
         self.add(f"static inline bool read_report(reader_t *r, dcp_{name}_t *report)", "{")
         if exact is not None:
-            self.add(
-                f"    if (r->end - r->at != {exact.size}u)",
-                f'        return fail(r, {reason(exact.reason)}, {needs(exact.requirement)}, "{label}", r->at, '
-                f"{exact.size}u, r->end - r->at);",
-            )
+            wrong, values = f"r->end - r->at != {exact.size}u", f"{exact.size}u, r->end - r->at"
+            self.fail_if(wrong, reason(exact.reason), exact.requirement, label, "r->at", values, wrapped=False)
         self.add(f"    return read_{name}(r, report);", "}", "")
         self.add(
             f"bool dcp_read_{name}(const uint8_t *octets, size_t size, dcp_{name}_t *report,",
@@ -419,7 +375,7 @@ class Reading(Functions):
                 "",
             )
         region, select = shape.list_region, shape.select
-        marks = self._container_marks()
+        marks = shape.container_marks
         self.add("/* Read a container and check all its records. */")
         self.add("static inline bool read_whole_container(reader_t *r, dcp_container_t *container)", "{")
         self.add("    bool good;")
@@ -430,13 +386,8 @@ class Reading(Functions):
         self.add(f"    if (!read_container(r, container, {arguments}))", "        return false;")
         if region is not None:
             length = access((region.length,)).replace("v->", "container->")
-            self.add(
-                f"    if (r->end - r->at < {length})",
-                f'        return fail(r, {reason(region.reason)}, {needs(region.requirement)}, "{region.length}", '
-                "length_at,",
-                f"                    {length}, r->end - r->at);",
-                f"    r->end = r->at + (size_t){length};",
-            )
+            self.fits("r->end - r->at", length, region, "length_at")
+            self.add(f"    r->end = r->at + (size_t){length};")
         self.add(
             "    container->records.octets = r->octets;",
             "    container->records.at = r->at;",
@@ -458,12 +409,9 @@ class Reading(Functions):
             "        return false;",
         )
         if region is not None:
-            self.add(
-                "    if (r->at != r->end)",
-                f'        return fail(r, DCP_LEFTOVER, {needs(region.requirement)}, "{region.content.name}", r->at, 0, '
-                "r->end - r->at);",
-                "    r->end = end;",
-            )
+            field, values = region.content.name, "0, r->end - r->at"
+            self.fail_if("r->at != r->end", "DCP_LEFTOVER", region.requirement, field, "r->at", values, wrapped=False)
+            self.add("    r->end = end;")
         self.add("    container->records.end = r->at;", "    return true;", "}", "")
         self.add(
             "dcp_list_t dcp_containers(const uint8_t *octets, size_t size)",

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from dcp_codec.export.shape import Record, Run
 from dcp_codec.plan.measures import largest, longest
-from dcp_codec.plan.tree import Scalar, Text
+from dcp_codec.plan.tree import Scalar
 
 from .names import access, stem
 from .scalars import Functions, pointer, raw_type
@@ -44,7 +44,7 @@ class Writing(Functions):
             "    uint8_t *p = w->octets + w->at;",
             "    size_t left = w->size - w->at;",
         )
-        if any(isinstance(text.node, Text) and text.node.terminated for text in texts):
+        if any(text.node.terminated for text in texts):
             self.add("    size_t i;")
         for part in record.parts():
             node = part.node
@@ -55,7 +55,6 @@ class Writing(Functions):
             ):
                 self.add(f"    if ({wrong})", "        return dcp_refuse(w, DCP_FAULT_OUT_OF_RANGE);")
         for text in texts:
-            assert isinstance(text.node, Text)
             value, most = access(text.path), longest(text.node)
             if most is not None:
                 self.add(*_at_most(f"{value}.size", most - text.node.terminated, "dcp_refuse(w, DCP_FAULT_TOO_LONG)"))
@@ -65,21 +64,12 @@ class Writing(Functions):
                     f"        if ({value}.data[i] == 0u)",
                     "            return dcp_refuse(w, DCP_FAULT_NUL);",
                 )
-        terminators = sum(isinstance(text.node, Text) and text.node.terminated for text in texts)
-        self.add(
-            f"    if (left < {sum(run.size for run in runs) + terminators}u)",
-            "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);",
-        )
-        for number, text in enumerate(texts):
-            before = (
-                f"{sum(run.size for run in runs) + terminators}u"
-                if number == 0
-                else f"{access(texts[number - 1].path)}.size"
-            )
-            last = f"{access(text.path)}.size"
-            self.add(
-                f"    left -= {before};", f"    if (left < {last})", "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);"
-            )
+        needed = f"{sum(run.size for run in runs) + sum(text.node.terminated for text in texts)}u"
+        self.add(f"    if (left < {needed})", "        return dcp_refuse(w, DCP_FAULT_NO_ROOM);")
+        for text in texts:
+            before, needed = needed, f"{access(text.path)}.size"
+            self.add(f"    left -= {before};", f"    if (left < {needed})")
+            self.add("        return dcp_refuse(w, DCP_FAULT_NO_ROOM);")
         for run in runs:
             self._run(run, marks)
         self.add("    w->at = (size_t)(p - w->octets);", "    return true;", "}", "")
@@ -89,10 +79,9 @@ class Writing(Functions):
         place = 0
         for part in run.scalars:
             node = part.node
-            assert isinstance(node, Scalar)
             if node.kind == "bytes":
                 self.add(f"    dcp_copy({pointer(place)}, {access(part.path)}, {node.size}u);")
-            elif run.text is not None and isinstance(run.text.node, Text) and part.path[:-1] == run.text.path:
+            elif run.text is not None and part.path[:-1] == run.text.path:
                 plus = " + 1u" if run.text.node.terminated else ""
                 size = f"({raw_type(node.size)})({access(run.text.path)}.size{plus})"
                 self.add(f"    {self.scalars.write(node, size, place)}")
@@ -111,7 +100,6 @@ class Writing(Functions):
         if place:
             self.add(f"    p += {place};")
         if run.text is not None:
-            assert isinstance(run.text.node, Text)
             value = access(run.text.path)
             self.add(f"    dcp_copy(p, {value}.data, {value}.size);", f"    p += {value}.size;")
             if run.text.node.terminated:
@@ -121,19 +109,13 @@ class Writing(Functions):
 
     def _set(self, record: Record, name: str, place: str, number: str) -> None:
         """Emit the setting of a derived field, unless the layout has none."""
-        part = self.shape.scalar_or_none(record, name)
-        if part is None or not isinstance(part.node, Scalar) or part.node.derived is None:
-            return
-        self.add(
-            f"    {self.scalars.store(part.node)}(w->octets + w->{place}, ({raw_type(part.node.size)})({number}));"
-        )
+        if (node := self.shape.derived(record, name)) is not None:
+            self.add(f"    {self.scalars.store(node)}(w->octets + w->{place}, ({raw_type(node.size)})({number}));")
 
     def _limit(self, record: Record, name: str, number: str, fault: str) -> None:
         """Emit the check that a number can be expressed by a derived field."""
-        part = self.shape.scalar_or_none(record, name)
-        if part is None or not isinstance(part.node, Scalar) or part.node.derived is None:
+        if (node := self.shape.derived(record, name)) is None:
             return
-        node = part.node
         if node.rule is not None and name != "numPayloads" and name != "icNumRecords":
             self.add(f"    if ({number} == 0u)", "        return dcp_refuse(w, DCP_FAULT_EMPTY);")
         self.add(*_at_most(number, largest(node), f"dcp_refuse(w, {fault})"))
@@ -279,16 +261,13 @@ class Writing(Functions):
         kept, self.scalars = self.scalars, self.shared
         for record in shape.all_records():
             self.record(record)
-        count = shape.scalar_or_none(shape.container, "icNumRecords")
-        assert count is not None
-        assert isinstance(count.node, Scalar)
         self.add(
             "/* Take note of a record that was put into the open container of its type. */",
             "static inline bool dcp_fits(dcp_writer_t *w, uint64_t ic_type)",
             "{",
             "    if (w->container == DCP_NOWHERE || w->ic_type != ic_type)",
             "        return dcp_refuse(w, DCP_FAULT_ORDER);",
-            f"    if (w->records_written == {largest(count.node)}u)",
+            f"    if (w->records_written == {shape.most_records}u)",
             "        return dcp_refuse(w, DCP_FAULT_TOO_MANY);",
             "    return true;",
             "}",

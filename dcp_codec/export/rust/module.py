@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from types import MappingProxyType
 from typing import Final
@@ -19,7 +19,7 @@ from dcp_codec.export.wording import bits_of, constant, description, snake_name
 from dcp_codec.plan.measures import largest, longest
 from dcp_codec.plan.tree import Group, Node, Scalar, Text
 
-from .parts import containers, payloads
+from .parts import containers, payloads, returned
 from .writer import writing
 
 #: Words that no field of a structure may have, beside those that Python reserves, too.
@@ -31,7 +31,6 @@ _WORDS: Final = frozenset(
     )
 )
 #: Fields that are set when a part is ended: the constant for the place in ``Writer.places``.
-_PLACES: Final = {"header": {"length": "BEACON_LENGTH", "numPayloads": "NUM_PAYLOADS"}}
 
 
 def rust_module(codec: Codec) -> str:
@@ -96,15 +95,15 @@ class Module:
         """Return the type of a record without its lifetime."""
         return type_name(record.group)
 
-    def _structure(self, group: Group, members: tuple[Node, ...], further: list[str]) -> Iterator[str]:
+    def _structure(self, group: Group, members: tuple[Node, ...], further: Sequence[str] = ()) -> Iterator[str]:
         name = type_name(group)
         if name in self._done:
             return
         self._done.add(name)
         for member in members:
             if isinstance(member, Group):
-                yield from self._structure(member, member.members, [])
-        fields = [line for member in members for line in self._field(member)] + further
+                yield from self._structure(member, member.members)
+        fields = [*(line for member in members for line in self._field(member)), *further]
         names = [line.split()[1] for line in fields if line.startswith("    pub ")]
         for each in names:
             if names.count(each) > 1:
@@ -135,13 +134,15 @@ class Module:
         record: Record,
         marks: Mapping[str, str] = MappingProxyType({}),
         places: Mapping[str, str] = MappingProxyType({}),
+        fields: Sequence[str] = (),
         further: str = "",
     ) -> Iterator[str]:
-        """Yield how a record is read, written and shown.
+        """Yield the structure of a record, and how it is read, written and shown.
 
         ``marks``: fields whose place is returned. ``places``: derived fields, by the constant for their place.
-        ``further``: the values of fields that are not in ``record``.
+        ``fields``: those that are not in ``record``, and ``further`` their values.
         """
+        yield from self._structure(record.group, record.members, fields)
         lifetime = "<'a>" if self.name(record).endswith("<'a>") else ""
         yield f"impl{lifetime} {self.name(record)} {{"
         result = f"(Self, {', '.join('usize' for _ in marks)})" if marks else "Self"
@@ -149,9 +150,9 @@ class Module:
         yield f"    fn read(r: &mut {reader}) -> Result<{result}, Problem> {{"
         for part in record.parts():
             if isinstance(part.node, Text):
-                yield from self._read_text(record, part)
+                yield from self._read_text(record, part.path, part.node)
             else:
-                yield from self._read_scalar(record, part, marks)
+                yield from self._read_scalar(record, part.path, part.node, marks)
         made = f"Self {{ {self._values(record.members, ())}{further} }}"
         found = ", ".join((made, *marks.values()))
         yield f"        Ok({f'({found})' if marks else made})"
@@ -170,10 +171,10 @@ class Module:
         yield from ("    }", "}", "")
 
     @staticmethod
-    def _access(part: Part) -> str:
+    def _access(part: Part[Scalar | Text]) -> str:
         return "self." + ".".join(map(field_name, part.path))
 
-    def _shown(self, part: Part) -> str:
+    def _shown(self, part: Part[Scalar | Text]) -> str:
         value = self._access(part)
         if isinstance(part.node, Text):
             return f"Value::Octets({value})"
@@ -211,11 +212,8 @@ class Module:
         if node.rule is not None:
             wrong = "raw == 0" if node.rule.value is None else f"raw != 0x{node.rule.value:x}"
             expected = "1" if node.rule.value is None else f"0x{node.rule.value:x}"
-            yield f"        if {wrong} {{"
-            problem = self.problem(
-                node.rule.reason, node.rule.requirement, self._path(record, path), "at", expected, "raw"
-            )
-            yield from (f"            return Err({problem});", "        }")
+            rule, field = node.rule, self._path(record, path)
+            yield from returned(wrong, self.problem(rule.reason, rule.requirement, field, "at", expected, "raw"))
 
     @staticmethod
     def problem(reason: str, requirement: str | None, field: str, offset: str, needed: str, available: str) -> str:
@@ -224,17 +222,17 @@ class Module:
             f"offset: {offset}, needed: {needed}, available: {available} }}"
         )
 
-    def _read_scalar(self, record: Record, part: Part, marks: Mapping[str, str]) -> Iterator[str]:
-        node = part.node
-        assert isinstance(node, Scalar)
-        if len(part.path) == 1 and part.path[0] in marks:
-            yield f"        let {marks[part.path[0]]} = r.at;"
-        local = self._local(part.path)
+    def _read_scalar(
+        self, record: Record, path: tuple[str, ...], node: Scalar, marks: Mapping[str, str]
+    ) -> Iterator[str]:
+        if len(path) == 1 and path[0] in marks:
+            yield f"        let {marks[path[0]]} = r.at;"
+        local = self._local(path)
         if node.kind == "bytes":
-            named = f'"{node.requirement or ""}", "{self._path(record, part.path)}"'
+            named = f'"{node.requirement or ""}", "{self._path(record, path)}"'
             yield f"        let {local} = r.array::<{node.size}>({named})?;"
             return
-        yield from self._load(record, part.path, node)
+        yield from self._load(record, path, node)
         if _is_constant(node):
             return
         if node.kind == "float":
@@ -245,9 +243,8 @@ class Module:
             value = f"raw as {_number_type(node)}"
         yield f"        let {local} = {value};"
 
-    def _read_text(self, record: Record, part: Part) -> Iterator[str]:
-        text, local, path = part.node, self._local(part.path), self._path(record, part.path)
-        assert isinstance(text, Text)
+    def _read_text(self, record: Record, names: tuple[str, ...], text: Text) -> Iterator[str]:
+        local, path = self._local(names), self._path(record, names)
         if not text.prefixes:
             yield f'        let {local} = r.until_nul("{text.requirement or ""}", "{path}")?;'
             return
@@ -255,22 +252,19 @@ class Module:
         for number, prefix in enumerate(text.prefixes):
             if number:
                 yield f"        let place{number} = r.at;"
-            yield from self._load(record, (*part.path, prefix.name), prefix)
+            yield from self._load(record, (*names, prefix.name), prefix)
             yield f"        let size{number} = raw;"
         for number, prefix in enumerate(text.prefixes[1:], start=1):
-            prefix_path = self._path(record, (*part.path, prefix.name))
-            problem = self.problem(
-                "length-mismatch", "DATA-06", prefix_path, f"place{number}", "size0", f"size{number}"
-            )
-            yield from (f"        if size{number} != size0 {{", f"            return Err({problem});", "        }")
+            at, size = f"place{number}", f"size{number}"
+            problem = self.problem("length-mismatch", "DATA-06", f"{path}.{prefix.name}", at, "size0", size)
+            yield from returned(f"size{number} != size0", problem)
         if text.terminated:
             yield "        let place = r.at;"
         yield f'        let {local} = r.take(size0, "{text.requirement or ""}", "{path}.data")?;'
         if text.terminated:
             problem = self.problem("bad-terminator", "DATA-07", f"{path}.data", "place", "0", "0")
             stop = f"{local}.iter().position(|&octet| octet == 0)"
-            yield f"        if {local}.is_empty() || {stop} != Some({local}.len() - 1) {{"
-            yield from (f"            return Err({problem});", "        }")
+            yield from returned(f"{local}.is_empty() || {stop} != Some({local}.len() - 1)", problem)
             yield f"        let {local} = &{local}[..{local}.len() - 1];"
 
     def _write(self, record: Record, places: Mapping[str, str]) -> Iterator[str]:
@@ -281,24 +275,16 @@ class Module:
             if isinstance(node, Text):
                 texts.append(value)
                 fixed += sum(prefix.size for prefix in node.prefixes) + node.terminated
-                if (most := longest(node)) is not None:
-                    yield from self._limited(f"{value}.len()", most - node.terminated, "TooLong")
+                if (most := longest(node)) is not None and most - node.terminated < (1 << 64) - 1:
+                    yield from returned(f"{value}.len() as u64 > {most - node.terminated}", "Fault::TooLong")
                 if node.terminated:
-                    yield from (
-                        f"        if {value}.contains(&0) {{",
-                        "            return Err(Fault::Nul);",
-                        "        }",
-                    )
+                    yield from returned(f"{value}.contains(&0)", "Fault::Nul")
                 continue
             fixed += node.size
             if node.stored and node.kind == "int" and node.size not in (1, 2, 4, 8):
                 top = largest(node)
                 below = f"{value} < -{top} - 1 || " if node.signed else ""
-                yield from (
-                    f"        if {below}{value} > {top} {{",
-                    "            return Err(Fault::OutOfRange);",
-                    "        }",
-                )
+                yield from returned(f"{below}{value} > {top}", "Fault::OutOfRange")
         yield f"        w.room({' + '.join([str(fixed), *(f'{each}.len()' for each in texts)])})?;"
         for part in record.parts():
             node, value = part.node, self._access(part)
@@ -326,12 +312,6 @@ class Module:
             return f"u64::from({value}.to_bits())" if node.size == 4 else f"{value}.to_bits()"
         return f"{value} as i64 as u64" if node.signed else f"{value} as u64"
 
-    @staticmethod
-    def _limited(number: str, most: int, fault: str) -> list[str]:
-        if most >= (1 << 64) - 1:
-            return []
-        return [f"        if {number} as u64 > {most} {{", f"            return Err(Fault::{fault});", "        }"]
-
     # -- all ----------------------------------------------------------------------------------------------------
 
     def lines(self) -> Iterator[str]:
@@ -356,12 +336,8 @@ class Module:
             yield f"pub const PROTOCOL_{constant(label)}: u64 = {number};"
         yield ""
         if shape.header is not None:
-            header = shape.header
-            yield from self._structure(header.group, header.members, [])
-            marks = {"numPayloads": "count_at"}
-            if shape.region is not None:
-                marks[shape.region.length.rsplit(".", 1)[-1]] = "length_at"
-            yield from self._record(header, marks, _PLACES["header"])
+            places = {"length": "BEACON_LENGTH", "numPayloads": "NUM_PAYLOADS"}
+            yield from self._record(shape.header, shape.header_marks, places)
         area = ["    /// Unused rest of the area.", "    pub area: &'a [u8],"] if shape.fill is not None else []
         content = [
             *("    /// The client payload.", "    pub octets: &'a [u8],"),
@@ -371,22 +347,17 @@ class Module:
                 *area,
             ),
         ]
-        yield from self._structure(shape.payload.group, shape.payload.members, content)
         further = ", octets: &[], octets_at: 0" + (", area: &[]" if area else "")
         length = shape.content.length
-        yield from self._record(shape.payload, {length: "length_at"}, {length: "PAYLOAD_LENGTH"}, further)
+        yield from self._record(shape.payload, {length: "length_at"}, {length: "PAYLOAD_LENGTH"}, content, further)
         if shape.srp is not None:
-            yield from self._structure(shape.srp.group, shape.srp.members, [])
             yield from self._record(shape.srp)
         listed = {shape.list_region.length: "LIST_LENGTH"} if shape.list_region is not None else {}
         records = ["    /// The records, which were checked.", "    pub records: Records<'a>,"]
-        yield from self._structure(shape.container.group, shape.container.members, records)
         places = {"icNumRecords": "NUM_RECORDS", **listed}
         further = ", records: Records { r: *r, ic_type: 0, left: 0 }"
-        marks = {"icType": "type_at", **({shape.list_region.length: "length_at"} if shape.list_region else {})}
-        yield from self._record(shape.container, marks, places, further)
+        yield from self._record(shape.container, shape.container_marks, places, records, further)
         for record in shape.all_records():
-            yield from self._structure(record.group, record.members, [])
             yield from self._record(record)
         for make in (payloads, containers, writing):
             yield from make(self)

@@ -6,14 +6,20 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from dcp_codec.export.wording import snake_name
+from dcp_codec.plan.tree import Region
 
 if TYPE_CHECKING:
     from .module import Module
 
 
+def returned(wrong: str, error: str, indent: int = 8) -> Iterator[str]:
+    """Yield the return of an error if a condition holds."""
+    yield from (f"{' ' * indent}if {wrong} {{", f"{' ' * indent}    return Err({error});", f"{' ' * indent}}}")
+
+
 def payloads(module: Module) -> Iterator[str]:
     """Yield beacons and the iterator over their payloads."""
-    shape, problem = module.shape, module.problem
+    shape = module.shape
     header = shape.header
     yield from ("/// A bearer payload.", "#[derive(Debug, Clone, Copy)]", "pub struct Beacon<'a> {")
     if header is not None:
@@ -26,12 +32,8 @@ def payloads(module: Module) -> Iterator[str]:
         places = "bp, count_at, length_at" if shape.region is not None else "bp, count_at"
         yield f"        let ({places}) = {module.bare(header)}::read(&mut r)?;"
         if shape.region is not None:
-            region = shape.region
-            yield "        if (r.left() as u64) < u64::from(bp.length) {"
-            wrong = problem(
-                region.reason, region.requirement, region.length, "length_at", "bp.length as u64", "r.left() as u64"
-            )
-            yield from (f"            return Err({wrong});", "        }", "        r.end = r.at + bp.length as usize;")
+            yield from _fits(module, shape.region, "u64::from(bp.length)", "bp.length as u64")
+            yield "        r.end = r.at + bp.length as usize;"
         yield "        let (count, bp_count_at) = (bp.num_payloads as u64, count_at);"
         yield "        let payloads = Payloads { r, count, count_at: bp_count_at, taken: 0, failed: false };"
         yield "        Ok(Beacon { bp, payloads })"
@@ -71,20 +73,12 @@ def _begin_payload(module: Module) -> Iterator[str]:
         yield "        if r.at == r.end {"
         if many.agrees is not None:
             wrong = problem(many.reason, many.requirement, many.agrees, "self.count_at", "self.count", "self.taken")
-            yield from (
-                "            if self.taken != self.count {",
-                f"                return Err({wrong});",
-                "            }",
-            )
+            yield from returned("self.taken != self.count", wrong, 12)
         yield from ("            return Ok(None);", "        }")
     yield f"        let (mut payload, length_at) = {module.bare(shape.payload)}::read(r)?;"
-    yield f"        if (r.left() as u64) < payload.{snake_name(content.length)} as u64 {{"
-    wrong = problem(
-        content.reason, content.requirement, content.length, "length_at",
-        f"payload.{snake_name(content.length)} as u64", "r.left() as u64",
-    )  # fmt: skip
-    yield from (f"            return Err({wrong});", "        }")
-    yield f"        payload.octets = &r.octets[r.at..r.at + payload.{snake_name(content.length)} as usize];"
+    length = f"payload.{snake_name(content.length)}"
+    yield from _fits(module, content, f"{length} as u64", f"{length} as u64")
+    yield f"        payload.octets = &r.octets[r.at..r.at + {length} as usize];"
     yield from ("        payload.octets_at = r.at;", "        Ok(Some((payload, length_at)))", "    }", "")
     yield "    /// Continue after the content of a payload."
     yield "    fn end(&mut self, payload: &mut Payload<'a>, length_at: usize) -> Result<(), Problem> {"
@@ -92,14 +86,9 @@ def _begin_payload(module: Module) -> Iterator[str]:
     yield "        r.at = payload.octets_at + payload.octets.len();"
     if shape.fill is not None:
         fill = shape.fill
-        wrong = problem(
-            fill.reason, fill.requirement, fill.used, "length_at", "payload.octets.len() as u64", str(fill.total)
-        )
-        yield from (
-            f"        if payload.octets.len() > {fill.total} {{",
-            f"            return Err({wrong});",
-            "        }",
-        )
+        size = "payload.octets.len()"
+        wrong = problem(fill.reason, fill.requirement, fill.used, "length_at", f"{size} as u64", str(fill.total))
+        yield from returned(f"{size} > {fill.total}", wrong)
         yield f"        let rest = ({fill.total} - payload.octets.len()) as u64;"
         yield f'        payload.area = r.take(rest, "{fill.requirement}", "{fill.name}")?;'
     else:
@@ -120,11 +109,11 @@ def _content(module: Module) -> Iterator[str]:
         exact, label = shape.srp_exact, ".".join(shape.srp.path)
         if exact is not None:
             wrong = problem(exact.reason, exact.requirement, label, "r.at", str(exact.size), "r.left() as u64")
-            yield from (f"    if r.left() != {exact.size} {{", f"        return Err({wrong});", "    }")
+            yield from returned(f"r.left() != {exact.size}", wrong, 4)
         yield "    let report = Report::read(r)?;"
         if exact is None:
             wrong = problem("leftover", shape.content.requirement, label, "r.at", "0", "r.left() as u64")
-            yield from ("    if r.left() != 0 {", f"        return Err({wrong});", "    }")
+            yield from returned("r.left() != 0", wrong, 4)
         yield from ("    Ok(report)", "}", "")
     yield from ("/// What a payload contains.", "#[derive(Debug, Clone, Copy)]", "pub enum Content<'a> {")
     yield from (f"    Srp({report}),", "    Vardis(Containers<'a>),", "    Other(&'a [u8]),", "}", "")
@@ -195,22 +184,26 @@ def containers(module: Module) -> Iterator[str]:
     yield f"    let (mut container, {places.partition(', ')[2]}) = {module.bare(shape.container)}::read(r)?;"
     if region is not None:
         length = f"container.{snake_name(region.length)}"
-        wrong = problem(
-            region.reason, region.requirement, region.length, "length_at", f"{length} as u64", "r.left() as u64"
-        )
-        yield from (f"    if (r.left() as u64) < {length} as u64 {{", f"        return Err({wrong});", "    }")
+        yield from _fits(module, region, f"{length} as u64", f"{length} as u64", 4)
         yield from ("    let end = r.end;", f"    r.end = r.at + {length} as usize;")
     yield "    let (ic_type, left) = (container.ic_type as u64, container.ic_num_records as u64);"
     yield "    let begin = *r;"
     known = " | ".join(str(number) for number in shape.records)
     wrong = problem(select.reason, select.requirement, select.key, "type_at", "0", "ic_type")
-    yield from (f"    if !matches!(ic_type, {known}) {{", f"        return Err({wrong});", "    }")
+    yield from returned(f"!matches!(ic_type, {known})", wrong, 4)
     yield from ("    for _ in 0..left {", "        Record::read(ic_type, r)?;", "    }")
     if region is not None:
         wrong = problem("leftover", region.requirement, region.content.name, "r.at", "0", "r.left() as u64")
-        yield from ("    if r.left() != 0 {", f"        return Err({wrong});", "    }", "    r.end = end;")
+        yield from (*returned("r.left() != 0", wrong, 4), "    r.end = end;")
     yield "    container.records = Records { r: Reader { end: r.at, ..begin }, ic_type, left };"
     yield from ("    Ok(container)", "}", "")
+
+
+def _fits(module: Module, region: Region, length: str, needed: str, indent: int = 8) -> Iterator[str]:
+    """Yield the check that the octets of a region are there."""
+    left = "r.left() as u64"
+    wrong = module.problem(region.reason, region.requirement, region.length, "length_at", needed, left)
+    yield from returned(f"({left}) < {length}", wrong, indent)
 
 
 def _match(module: Module, made: Callable[[int, str], str], name: str = "_") -> Iterator[str]:

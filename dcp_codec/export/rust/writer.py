@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from dcp_codec.export.shape import Record
 from dcp_codec.plan.measures import largest
-from dcp_codec.plan.tree import Scalar
+
+from .parts import returned
 
 if TYPE_CHECKING:
     from .module import Module
@@ -19,7 +20,7 @@ def writing(module: Module) -> Iterator[str]:
     yield "impl Writer<'_> {"
     yield "    /// Begin a bearer payload. Every payload is begun and ended in it."
     yield "    pub fn begin_beacon(&mut self, beacon: &Beacon) -> Result<(), Fault> {"
-    yield from ("        let at = self.at;", *_order("self.beacon.is_some()"))
+    yield from ("        let at = self.at;", *_fault("self.beacon.is_some()", "Order"))
     if shape.header is not None:
         yield "        beacon.bp.write(self)?;"
     else:
@@ -31,9 +32,9 @@ def writing(module: Module) -> Iterator[str]:
     )
     yield from ("        Ok(())", "    }", "", "    /// End it; `size` is then its size.")
     yield "    pub fn end_beacon(&mut self) -> Result<(), Fault> {"
-    yield from _order("self.beacon.is_none() || self.payload.is_some()")
+    yield from _fault("self.beacon.is_none() || self.payload.is_some()", "Order")
     if shape.header is not None or shape.payloads.nonempty:
-        yield from ("        if self.payloads_written == 0 {", "            return Err(Fault::Empty);", "        }")
+        yield from _fault("self.payloads_written == 0", "Empty")
     if shape.header is not None:
         size = "(self.at - self.payloads) as u64"
         yield from _limit(module, shape.header, "numPayloads", "self.payloads_written", "TooMany")
@@ -43,7 +44,7 @@ def writing(module: Module) -> Iterator[str]:
     yield from ("        self.beacon = None;", "        Ok(())", "    }", "")
     yield "    pub fn begin_payload(&mut self, payload: &Payload) -> Result<(), Fault> {"
     yield "        let at = self.at;"
-    yield from _order("self.beacon.is_none() || self.payload.is_some()")
+    yield from _fault("self.beacon.is_none() || self.payload.is_some()", "Order")
     yield from ("        payload.write(self)?;", "        self.payload = Some(at);", "        self.content = self.at;")
     yield from (
         "        Ok(())",
@@ -52,12 +53,12 @@ def writing(module: Module) -> Iterator[str]:
         "    pub fn end_payload(&mut self, payload: &Payload) -> Result<(), Fault> {",
     )
     yield "        let size = self.at - self.content;"
-    yield from _order("self.payload.is_none() || self.container.is_some()")
+    yield from _fault("self.payload.is_none() || self.container.is_some()", "Order")
     yield from _limit(module, shape.payload, shape.content.length, "size as u64", "TooLong")
     if shape.fill is not None:
         total = shape.fill.total
-        yield f"        if size > {total} || (!payload.area.is_empty() && payload.area.len() != {total} - size) {{"
-        yield from ("            return Err(Fault::TooLong);", "        }", f"        self.room({total} - size)?;")
+        wrong = f"size > {total} || (!payload.area.is_empty() && payload.area.len() != {total} - size)"
+        yield from (*_fault(wrong, "TooLong"), f"        self.room({total} - size)?;")
         yield from ("        if payload.area.is_empty() {", f"            for _ in size..{total} {{")
         yield from ("                self.put(0, 1, false);", "            }", "        } else {")
         yield from ("            self.copy(payload.area);", "        }")
@@ -70,23 +71,17 @@ def writing(module: Module) -> Iterator[str]:
     yield "        report.write(self)" if shape.srp is not None else "        match *report {}"
     yield from ("    }", "", "    /// Begin a container, whose type is `ic_type`.")
     yield "    pub fn begin_container(&mut self, container: &Container) -> Result<(), Fault> {"
-    yield from ("        let at = self.at;", *_order("self.container.is_some()"))
+    yield from ("        let at = self.at;", *_fault("self.container.is_some()", "Order"))
     known = " | ".join(str(number) for number in shape.records)
-    yield from (
-        f"        if !matches!(container.ic_type as u64, {known}) {{",
-        "            return Err(Fault::UnknownType);",
-    )
-    yield from ("        }", "        container.write(self)?;", "        self.container = Some(at);")
+    yield from _fault(f"!matches!(container.ic_type as u64, {known})", "UnknownType")
+    yield from ("        container.write(self)?;", "        self.container = Some(at);")
     yield from ("        self.records = self.at;", "        self.records_written = 0;")
     yield from ("        self.ic_type = container.ic_type as u64;", "        Ok(())", "    }", "")
-    count = shape.scalar_or_none(shape.container, "icNumRecords")
-    assert count is not None
-    assert isinstance(count.node, Scalar)
     yield "    /// Add a record to the container. If it does not fit, the container can be ended without it."
     yield "    pub fn add_record(&mut self, record: &Record) -> Result<(), Fault> {"
-    yield from _order("self.container.is_none() || self.ic_type != record.ic_type()")
-    yield f"        if self.records_written == {largest(count.node)} {{"
-    yield from ("            return Err(Fault::TooMany);", "        }", "        record.write(self)?;")
+    yield from _fault("self.container.is_none() || self.ic_type != record.ic_type()", "Order")
+    yield from _fault(f"self.records_written == {shape.most_records}", "TooMany")
+    yield "        record.write(self)?;"
     yield from ("        self.records_written += 1;", "        Ok(())", "    }", "")
     yield "    /// End the container; one without records is removed."
     yield "    pub fn end_container(&mut self) -> Result<(), Fault> {"
@@ -103,30 +98,22 @@ def writing(module: Module) -> Iterator[str]:
     yield from ("        Ok(())", "    }", "}")
 
 
-def _order(wrong: str) -> tuple[str, ...]:
-    return (f"        if {wrong} {{", "            return Err(Fault::Order);", "        }")
-
-
-def _derived(module: Module, record: Record, name: str) -> Scalar | None:
-    part = module.shape.scalar_or_none(record, name)
-    node = part.node if part is not None else None
-    return node if isinstance(node, Scalar) and node.derived is not None else None
+def _fault(wrong: str, name: str) -> Iterator[str]:
+    return returned(wrong, f"Fault::{name}")
 
 
 def _set(module: Module, record: Record, name: str, place: str, number: str) -> Iterator[str]:
     """Yield the setting of a derived field, unless the layout has none."""
-    node = _derived(module, record, name)
-    if node is not None:
+    if (node := module.shape.derived(record, name)) is not None:
         little = "true" if node.order == "little" else "false"
         yield f"        self.set(self.places[{place}], {number}, {node.size}, {little});"
 
 
 def _limit(module: Module, record: Record, name: str, number: str, fault: str) -> Iterator[str]:
     """Yield the check that a derived field can express a number."""
-    node = _derived(module, record, name)
-    if node is None:
+    if (node := module.shape.derived(record, name)) is None:
         return
     if node.rule is not None and name not in ("numPayloads", "icNumRecords"):
-        yield from (f"        if {number} == 0 {{", "            return Err(Fault::Empty);", "        }")
+        yield from _fault(f"{number} == 0", "Empty")
     if (most := largest(node)) < (1 << 64) - 1:
-        yield from (f"        if {number} > {most} {{", f"            return Err(Fault::{fault});", "        }")
+        yield from _fault(f"{number} > {most}", fault)

@@ -61,11 +61,6 @@ class RelayFabric:
             namespaces.delete(made)
             raise
 
-    @property
-    def relay_pid(self) -> int:
-        """Identifier of the relay's process."""
-        return self._relay.pid
-
     def set_quality(self, direction: tuple[int, int] | None, impairment: Impairment) -> None:
         """Set the impairment of one direction (sender, receiver), or with None of all directions without their own.
 

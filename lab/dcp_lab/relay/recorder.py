@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Final
 
-from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
+from dcp_codec.capture import create_capture
+from dcp_stack.links.recording import FrameFile
 
 #: Time in ns after which written frames are flushed to the system.
 _FLUSH: Final = 1_000_000_000
 
 
-class PortRecorder:
-    """Writes the frames of one port. A write error ends the recording; ``problem`` has its text."""
+class PortRecorder(FrameFile):
+    """Writes the frames of one port."""
 
     def __init__(self, path: Path, port: int, interface: str, profile: str = "") -> None:
         """Create the file. Raises ``CaptureError`` if that fails, ``ProfileError`` for an unknown profile."""
-        self.frames = 0
-        self.problem = ""
         self._flushed = 0
         about = {"port": str(port), "interface": interface}
         metadata = {"dcp.recording": about}
@@ -29,34 +27,11 @@ class PortRecorder:
 
             metadata = capture_metadata(Codec(profile), about)
         # Uncompressed, because compressing a chunk would delay frames that are due.
-        self._writer: CaptureWriter | None = create_capture(path, format="mcap", metadata=metadata, compression="none")
+        super().__init__(create_capture(path, format="mcap", metadata=metadata, compression="none"))
 
     def saw(self, frame: bytes, wall: int) -> None:
         """Write a frame that the station sent or received at ``wall`` (ns since 1970)."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.write(Frame(self.frames + 1, min(max(wall, 0), MAX_TIME_NS), frame, len(frame)))
-            self.frames += 1
-            if wall - self._flushed >= _FLUSH:
-                self._flushed = wall
-                self._writer.flush()
-        except CaptureError as error:
-            self._stop(error)
-
-    def close(self) -> None:
-        """Finish the file; may be called twice."""
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            try:
-                writer.close()
-            except CaptureError as error:
-                self.problem = str(error)
-
-    def _stop(self, error: CaptureError) -> None:
-        """End the recording after a write error."""
-        writer, self._writer = self._writer, None
-        self.problem = str(error)
-        if writer is not None:
-            with contextlib.suppress(CaptureError):
-                writer.close()
+        self.add(frame, wall)
+        if wall - self._flushed >= _FLUSH:
+            self._flushed = wall
+            self.flush()

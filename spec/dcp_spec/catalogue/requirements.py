@@ -73,8 +73,3 @@ def requirements() -> Mapping[str, Requirement]:
 def requirement(requirement_id: str) -> Requirement:
     """The requirement with this id. Raises UnknownRequirementError, a KeyError that names similar ids."""
     return _CATALOGUE.entry(requirement_id)
-
-
-def depending_on(reading_id: str) -> tuple[Requirement, ...]:
-    """The requirements that depend on a reading; empty for a reading that is unknown or not cited."""
-    return tuple(entry for entry in requirements().values() if reading_id in entry.readings)

@@ -36,7 +36,6 @@ from .recorded import Column
 #: Least distance between two labels of a time axis, in pixels.
 _BETWEEN_LABELS = 10
 _FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
-_TEXT = {"text_color": light("ink"), "text_font": _FONT}
 _LABEL = {"label_text_color": light("ink"), "label_text_font": _FONT}
 #: Theme of every plot; the script of the page replaces the colours in the dark scheme.
 _THEME = Theme(

@@ -57,7 +57,7 @@ class PlotContext:
         return {node: times for node, times in found.items() if times.size}
 
     def chart(self, name: str, title: str, caption: str, **options: object) -> Chart:
-        """Return the builder of a new plot of this recording over time."""
+        """Return the builder of a new plot of this recording, over time unless ``duration`` is None."""
         return Chart(f"{self.prefix}{name}", title, caption, **{"duration": self.time.duration, **options})  # type: ignore[arg-type]
 
 
@@ -236,9 +236,8 @@ def positions(context: PlotContext) -> list[Plot]:
         drawn[node] = plan.rows(rows, at, x, also=plan.places(at, y))
         high[node] = height.rows(rows, at, z)
     caption = f"The square is the last position of a node.{plan.words}"
-    chart = Chart(
-        f"{context.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
-    )
+    label = f"y{in_unit(unit.get('position.y'))}"
+    chart = context.chart("plan", "Positions in plan", caption, duration=None, label=label, height=380)
     chart.figure.xaxis.axis_label = f"x{in_unit(unit.get('position.x'))}"
     chart.figure.match_aspect = True
     for node, rows in drawn.items():
@@ -341,9 +340,8 @@ def delays(context: PlotContext, passed: Passings) -> list[Plot]:
         "Share of values that the 1st, 2nd, ... further node had forwarded within this delay. The order in which nodes "
         "forward a value is not a number of hops."
     )
-    ranked = Chart(
-        f"{context.prefix}delay-order", "Delay by order of forwarding", caption, label="values (%)", height=300
-    )
+    title = "Delay by order of forwarding"
+    ranked = context.chart("delay-order", title, caption, duration=None, label="values (%)")
     for number, rank in enumerate(np.unique(passed.order[ours]).tolist()[:DRAWN]):
         delay = np.sort(passed.delay[ours & (passed.order == rank)])
         share = 100 * np.arange(1, delay.size + 1) / delay.size

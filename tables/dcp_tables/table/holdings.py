@@ -5,7 +5,7 @@ The ledger follows beacons in plain Python, and needs those before: this table i
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import pyarrow as pa
 from dcp_spec.profile.definition import Link
@@ -16,16 +16,16 @@ from dcp_codec.capture import open_capture
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
 
-from .columns import TIME
+from .columns import IDENTIFIER, TIME
+from .input.damaged import batch_of
 
-_TEXT = pa.dictionary(pa.int32(), pa.string())
 #: Type, whether it can be null, and meaning of each column.
 _COLUMNS: dict[str, tuple[pa.DataType, bool, str]] = {
-    "node": (_TEXT, False, "node whose beacons state it"),
+    "node": (IDENTIFIER, False, "node whose beacons state it"),
     "varId": (pa.int64(), False, "variable"),
-    "state": (_TEXT, False, "held, deleted, or unknown (the node requests the create)"),
+    "state": (IDENTIFIER, False, "held, deleted, or unknown (the node requests the create)"),
     "seqno": (pa.int64(), True, "sequence number; null unless held"),
-    "producer": (_TEXT, True, "producer in the last create of the node; null if it sent none"),
+    "producer": (IDENTIFIER, True, "producer in the last create of the node; null if it sent none"),
     "creationTime": (pa.int64(), True, "creation time in that create; null before 2.0"),
     "since": (TIME, False, "time of the first beacon with this state"),
     "until": (TIME, False, "time of the last one"),
@@ -61,14 +61,8 @@ def read_holdings(path: str, codec: Codec, link: Link) -> pa.RecordBatch:
             if beacon is not None:
                 node = beacon.bp.sender_id if beacon.bp is not None else framing.src or b""
                 ledger.feed(frame.number, frame.time_ns, node, beacon)
-    rows = list(holdings(ledger, codec.profile.types.node_id.representation))
-    columns: list[Any] = [
-        pa.array(list(values), pa.string()).dictionary_encode() if field.type == _TEXT else pa.array(values, field.type)
-        for field, values in zip(
-            HOLDINGS_SCHEMA, zip(*rows, strict=True) if rows else [()] * len(_COLUMNS), strict=True
-        )
-    ]
-    return pa.RecordBatch.from_arrays(columns, schema=HOLDINGS_SCHEMA)
+    rows = holdings(ledger, codec.profile.types.node_id.representation)
+    return batch_of([each._asdict() for each in rows], HOLDINGS_SCHEMA)
 
 
 assert tuple(_COLUMNS) == Holding._fields

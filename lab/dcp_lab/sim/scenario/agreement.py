@@ -38,11 +38,6 @@ class Agreement:
         return not self._disputed
 
     @property
-    def disputed(self) -> list[int]:
-        """The identifiers of variables on which the present nodes disagree, ascending."""
-        return sorted(self._disputed)
-
-    @property
     def present(self) -> int:
         """Number of present nodes."""
         return self._count

@@ -79,7 +79,7 @@ class DamagedFrames:
 
     def tables(self) -> dict[str, pa.RecordBatch]:
         """Return the collected rows by table; tables without rows are left out."""
-        return {name: _batch(rows, self._schemas[name]) for name, rows in self._rows.items() if rows}
+        return {name: batch_of(rows, self._schemas[name]) for name, rows in self._rows.items() if rows}
 
     def _sender(self, octets: bytes, framing: Framing) -> str | None:
         """Return the sender as :attr:`dcp_codec.framing.frames.DissectedFrame.sender` does; None if unknown."""
@@ -215,7 +215,7 @@ def _fitting(number: int | None) -> int | None:
     return None if number is None else min(number, (1 << 63) - 1)
 
 
-def _batch(rows: Sequence[_Row], schema: pa.Schema) -> pa.RecordBatch:
+def batch_of(rows: Sequence[_Row], schema: pa.Schema) -> pa.RecordBatch:
     arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
 

@@ -11,7 +11,8 @@ import numpy as np
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import Frame
 from dcp_codec.capture.mcap import raw_frame as rawframe
-from dcp_codec.capture.mcap.reader import RECORD_HEAD, McapReader
+from dcp_codec.capture.mcap.index import RECORD_HEAD
+from dcp_codec.capture.mcap.reader import McapReader
 from dcp_tables.table.decoding import Block
 from dcp_tables.table.kernel.jit import machine
 

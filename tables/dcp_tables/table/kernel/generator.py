@@ -282,10 +282,7 @@ def kernel_source(shape: Shape) -> str:
     add("i = first")
     with block("while i < count:"):
         add("o, e, ether = locate(b, starts[i], stops[i], udp, kind)")
-        with block("if o < 0:"):
-            add("other += 1")
-            add("i += 1")
-            add("continue")
+        generator.when("o < 0", "other += 1", "i += 1", "continue")
         _make_room(generator, varying)
         for table in tables:
             add(f"was{table.number} = r{table.number}")
@@ -300,9 +297,7 @@ def kernel_source(shape: Shape) -> str:
                 add(f"r{table.number} = was{table.number}")
             for column in varying:
                 add(f"m{column.number} = u{column.number}")
-            with block(f"if bad_now == {POOL_FULL}:"):
-                add(f"status = {POOL_FULL}")
-                add("break")
+            generator.when(f"bad_now == {POOL_FULL}", f"status = {POOL_FULL}", "break")
             add("bad[malformed] = i")
             add("malformed += 1")
         add("i += 1")
@@ -334,16 +329,12 @@ def _make_room(generator: _Generator, varying: list[Column]) -> None:
     any_rows = " | ".join(f"r{table.number}" for table in tables)
     over = [f"m{column.number} + most > space" for column in varying]
     with block(f"if {' or '.join([f'({any_rows}) >= moved', 'most > high - moved', *over])}:"):
-        with block(f"if {' or '.join(['most > high', *over])}:"):
-            add(f"status = {FULL}")
-            add("break")
+        generator.when(" or ".join(["most > high", *over]), f"status = {FULL}", "break")
         add("least = 1 if most > high - moved else moved")
         for table in tables:
             with block(f"if r{table.number} >= least:"):
                 _move(generator, table)
-        with block(f"if {' or '.join(f'n{table.number} >= room' for table in tables)}:"):
-            add(f"status = {FULL}")
-            add("break")
+        generator.when(" or ".join(f"n{table.number} >= room" for table in tables), f"status = {FULL}", "break")
 
 
 def _move(generator: _Generator, table: Table) -> None:

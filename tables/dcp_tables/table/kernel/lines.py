@@ -32,8 +32,7 @@ class KernelLines(Source):
 
     def fail_if(self, condition: str) -> None:
         """Append a statement that leaves the innermost loop, with ``bad_now`` still set, if ``condition`` is true."""
-        with self.block(f"if {condition}:"):
-            self.add("break")
+        self.when(condition, "break")
 
     @contextmanager
     def loop(self, line: str) -> Iterator[None]:
@@ -106,29 +105,21 @@ class KernelLines(Source):
         with self.block("while True:"):
             self.add(f"{target} = I64({pool}_slots[U64({place})])")
             with self.block(f"if {target} < 0:"):
-                with self.block(f"if {pool}_many >= {pool}_most:"):
-                    self.add(f"bad_now = {POOL_FULL}")
-                    self.add("break")
+                self.when(f"{pool}_many >= {pool}_most", f"bad_now = {POOL_FULL}", "break")
                 self.add(f"{target} = {pool}_many")
                 self.add(f"{pool}_slots[U64({place})] = {target}")
                 self.add(f"{pool}_keys[U64({target})] = {key}")
                 self.add(f"{pool}_many += 1")
                 self.add("break")
-            with self.block(f"if {pool}_keys[U64({target})] == {key}:"):
-                self.add("break")
+            self.when(f"{pool}_keys[U64({target})] == {key}", "break")
             self.add(f"{place} = ({place} + 1) & {pool}_mask")
         self.fail_if(f"bad_now == {POOL_FULL}")
 
     def intern_any(self, at: str, size: str, target: str) -> None:
         """Append the statements of :meth:`intern` for node identifiers of any size."""
-        self.add(
-            f"{target} = intern(b, {at}, {size}, n_slots, n_ends, n_arena, n_many)",
-        )
-        with self.block(f"if {target} < 0:"):
-            self.add(f"bad_now = {POOL_FULL}")
-            self.add("break")
-        with self.block(f"if {target} == n_many:"):
-            self.add("n_many += 1")
+        self.add(f"{target} = intern(b, {at}, {size}, n_slots, n_ends, n_arena, n_many)")
+        self.when(f"{target} < 0", f"bad_now = {POOL_FULL}", "break")
+        self.when(f"{target} == n_many", "n_many += 1")
 
     def node_id(self, at: str, size: int, target: str) -> None:
         """Append statements that set ``target`` to the number of a node identifier of fixed size."""

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
-
-Array = npt.NDArray[np.generic]
 
 #: Capacity of a pool. A swarm has dozens of identifiers; random octets have millions.
 MOST = 1 << 15
