@@ -30,7 +30,7 @@ from dcp_conformance.model.results import (
     RunResult,
     Sut,
 )
-from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict
 
 from .base import MOST_VARIABLES, Context, Finding, Invariant, Outcome, Seen, name
 from .numbers import Numbers
@@ -383,29 +383,19 @@ class Judge:
         if not checks:
             reason = reason or "the recording gave no occasion"
             checks.append(Check(Verdict.NOT_APPLICABLE, rule.requirements, reason))
-        verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
-        finding = next((each for each in rule.findings if each.verdict is verdict), None)
-        decisive = next(check for check in checks if check.verdict is verdict)
-        text = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
         numbers = sorted({mark.frame for check in checks for mark in check.frames})
-        return CaseResult(
-            id=rule.id,
-            purpose=rule.purpose,
-            section=rule.section,
-            kind="BV",
-            requirements=rule.requirements,
-            verdict=verdict,
-            reason="" if verdict is Verdict.PASS else text,
-            stimulus=_STIMULUS,
-            expectation=rule.expect,
-            checks=tuple(checks),
+        result = rule.as_case(rule.section, _STIMULUS).result(
+            checks,
             evidence=tuple(self._cited[number] for number in numbers if number in self._cited),
             left_out=rule.left_out,
             rerun=self._command,
             occasions=occasions,
-            consequence=(finding.consequence or CONSEQUENCES.get(rule.id, "")) if finding and failed else "",
-            show=self._show(finding) if finding else "",
         )
+        finding = next((each for each in rule.findings if each.verdict is result.verdict), None)
+        if finding is None:
+            return result
+        consequence = (finding.consequence or CONSEQUENCES.get(rule.id, "")) if failed else ""
+        return msgspec.structs.replace(result, consequence=consequence, show=self._show(finding))
 
     def _passes(self, rule: Invariant, held: list[str], occasions: dict[str, int]) -> Iterator[Check]:
         """Yield checks for the requirements in ``held``, which have no finding.
