@@ -15,7 +15,7 @@ from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.node_id import node_id_octets
 
-from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, target_of, target_options
+from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, report_option, target_of, target_options
 
 #: Duration of a replay in seconds above which a warning is printed.
 _LONG = 600
@@ -38,7 +38,7 @@ _LONG = 600
     help="Speed; 2: twice as fast, 0: without pauses.  [default: 1]",
 )
 @click.option("--no-services", is_flag=True, help="Do not repeat the service calls of the node's applications.")
-@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@report_option
 def command(capture: Path, **options: Any) -> int:
     """Replay the recording FILE to an implementation, and judge its reactions.
 
