@@ -84,9 +84,9 @@ class SafeConsole(Console):
         return super().render_str(plain(text, keep="\n\t"), **more)
 
 
-def console(stream: object = None) -> Console:
-    """Return a console on standard output or another stream; it writes colours only to a terminal."""
-    return SafeConsole(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
+def console() -> Console:
+    """Return a console on standard output; it writes colours only to a terminal."""
+    return SafeConsole(highlight=False, emoji=False, soft_wrap=True)
 
 
 def data(text: object) -> str:

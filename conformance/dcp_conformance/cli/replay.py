@@ -46,7 +46,7 @@ def command(capture: Path, **options: Any) -> int:
     tester, repeats the service calls of that node's applications. An independent model of the specification judges the
     reactions, and the final state is compared with that of the recorded node.
     """
-    from dcp_conformance.execution.replay import Replay, ReplayOptions, choose_node, decided, recorded_nodes
+    from dcp_conformance.execution.replay import Replay, choose_node, decided, recorded_nodes
     from dcp_conformance.execution.target import describe, open_target, require_answer
     from dcp_conformance.model.moment import timestamp
     from dcp_conformance.model.outcome import assemble, exit_status
@@ -68,7 +68,7 @@ def command(capture: Path, **options: Any) -> int:
         if target_options.beacon_period_ms is None:
             target_options = dataclasses.replace(target_options, beacon_period_ms=100.0)
         node = chosen
-    replay = Replay(capture, ReplayOptions(node, options["speed"], not options["no_services"]))
+    replay = Replay(capture, node, speed=options["speed"], services=not options["no_services"])
     begun, started = time.monotonic(), timestamp()
     again = as_typed()
     report = options["report_dir"]

@@ -44,7 +44,7 @@ class Check(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def text(self) -> str:
-        """What was expected, and what was observed instead."""
+        """Expectation and observation in one line."""
         return f"{self.expected}: {self.observed}" if self.observed else self.expected
 
     def excused(self, why: str) -> Check:

@@ -197,7 +197,7 @@ class _Reaction(Invariant):
         return ""
 
     def _limit(self, station: Station, causes: Sequence[Statement]) -> str:
-        """Return how the missed records exceed everything that the node has sent; empty if they do not."""
+        """Return how the missed records exceed everything that the node has sent; otherwise empty."""
         above = ""
         for cause in causes if self.limited else ():
             above = ""
