@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dcp_conformance.check.recording import judge_recording
+from dcp_conformance.check.recording import judge_versions
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import TargetOptions, describe
@@ -47,7 +47,7 @@ def test_check_refuses_records_that_it_has_no_rules_for(profile: Path, tmp_path:
     with create_capture(capture) as file:
         file.write(Frame(1, 10**18, bytes(60), 60))
     with pytest.raises(UsageError, match=r"check has rules .*vardis\.own_containers has GEO-FENCE, Ping"):
-        judge_recording(capture, str(profile), Pics())
+        judge_versions(capture, str(profile), Pics())
 
 
 def test_a_pattern_in_place_of_reports_is_judged_without_srp() -> None:

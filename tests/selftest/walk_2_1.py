@@ -244,11 +244,11 @@ def check(folder: Path) -> dict[str, Any]:
 
 def _judged(folder: Path) -> dict[str, str]:
     """Return the rules that are not passed, each with the first finding."""
-    from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.check.recording import judge_versions
     from dcp_conformance.model.pics import Pics
 
     _played(folder)
-    result, _ = judge_recording(folder / "flight.mcap", "dcp-2.1", Pics())
+    result, _ = judge_versions(folder / "flight.mcap", "dcp-2.1", Pics())[0]
     return {each.id: f"{each.verdict}: {each.reason}" for each in result.cases if str(each.verdict) == "fail"}
 
 

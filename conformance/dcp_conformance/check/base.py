@@ -22,7 +22,7 @@ from dcp_conformance.model.verdict import Verdict
 from .lifetimes import Lifetimes
 from .numbers import Numbers
 from .senders import Senders
-from .statements import SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statement_of
+from .statements import SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statements_in
 from .stations import Origin, Stations
 
 #: Maximum number of findings of one verdict that an invariant keeps with their frames; further ones are only counted.
@@ -123,12 +123,7 @@ class Seen:
     def statements(self) -> tuple[Statement, ...]:
         """All VarDis records of the frame in their order. Prefer ``parts`` or ``news``, which cost less."""
         if self._statements is None:
-            found = [
-                statement_of(kind, each, self.heard, self.sender)
-                for kind, records, _, _, _ in self.parts
-                for each in records
-            ]
-            self._statements = tuple(found)
+            self._statements = statements_in(self.heard, self.sender)
         return self._statements
 
 

@@ -11,7 +11,6 @@ from typing import Any, Final, Literal, NamedTuple
 import msgspec
 
 from dcp_codec.analysis.chain import sources
-from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
@@ -31,7 +30,7 @@ from dcp_conformance.model.results import (
     RunResult,
     Sut,
 )
-from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict
 
 from .base import MOST_VARIABLES, Context, Finding, Invariant, Outcome, Seen, name
 from .numbers import Numbers
@@ -160,7 +159,8 @@ class Judge:
         beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``. ``topology``: the links
         that the user tells; None: they are inferred. ``task``: the rules to apply; None for all of them.
         """
-        self._codec = codec
+        self.codec = codec
+        """The codec of the profile."""
         self._pics = pics
         self._recording = recording
         self._path = path or recording
@@ -169,6 +169,8 @@ class Judge:
         self._clock = RecorderClock()
         self._command = command
         self._context = Context(codec, pics, period_known=period_known)
+        self.ledger = self._context.ledger
+        """The states of all variables at all nodes."""
         self._topology = topology
         if topology is not None:
             self._context.hears = topology.hears
@@ -189,7 +191,7 @@ class Judge:
 
     def feed(self, frame: Frame) -> None:
         """Judge the next frame of the recording; frames of other traffic and truncated frames are only counted."""
-        framing = locate(frame.data, self._codec.profile.link)
+        framing = locate(frame.data, self.codec.profile.link)
         if isinstance(framing, OtherTraffic):
             self.other += 1
             return
@@ -202,8 +204,8 @@ class Judge:
             self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
         time_ns = self._clock.time(frame.time_ns)
-        heard = ReceivedBeacon(self._codec, frame.number, time_ns, time_ns, octets, framing.src or b"")
-        seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
+        heard = ReceivedBeacon(self.codec, frame.number, time_ns, time_ns, octets, framing.src or b"")
+        seen = Seen(self.codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender not in self._senders and len(self._senders) < 4096:
             self._senders[seen.sender] = None
         self._recent[frame.number] = (frame, framing.start, seen.sender)
@@ -214,16 +216,6 @@ class Judge:
             feed(seen)
         if self._context.changed:
             self._cite()
-
-    @property
-    def codec(self) -> Codec:
-        """The codec of the profile."""
-        return self._codec
-
-    @property
-    def ledger(self) -> Ledger:
-        """The states of all variables at all nodes."""
-        return self._context.ledger
 
     @property
     def reception(self) -> Reception:
@@ -268,9 +260,8 @@ class Judge:
                     kept = self._recent.get(mark.frame)
                     if mark.frame not in self._cited and kept is not None:
                         frame, start, sender = kept
-                        who = sender.hex(":") if len(sender) <= 8 else sender.decode("ascii", "replace")
                         self._cited[mark.frame] = EventRecord(
-                            frame.time_ns, "heard", who, frame.number, "", frame.data.hex(), start
+                            frame.time_ns, "heard", name(sender), frame.number, "", frame.data.hex(), start
                         )
 
     def share(self) -> Share:
@@ -306,7 +297,7 @@ class Judge:
                     # A requirement that one rule doubts must not pass by another rule.
                     for each in finding.requirements:
                         self._context.withhold(each, finding.observed)
-        cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
+        cases = (*declarations(self._pics.pics, self.codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         about.append(self.links_origin)
         if self.other:
@@ -314,7 +305,7 @@ class Judge:
         if self.cut:
             about.append(f"{self.cut} frames are truncated in the recording and were not judged")
         run = assemble(
-            self._codec.profile,
+            self.codec.profile,
             self._pics,
             cases,
             kind="check",
@@ -349,7 +340,7 @@ class Judge:
         hops = sources(entries, ledger.producers, self.hears)
         came = [(hop.source, 0 if hop.frame is None else hop.frame[0]) for hop in hops]
         period = self._context.pics.pixit.beacon_period_ms * 1e6
-        return ledger.as_json(self._codec.profile.types.node_id.representation, came, period, entries)
+        return ledger.as_json(self.codec.profile.types.node_id.representation, came, period, entries)
 
     def _links(self) -> Iterator[LinkResult]:
         """Yield the links between nodes for which the recording shows either reactions or their absence."""
@@ -357,7 +348,7 @@ class Judge:
         told: set[tuple[bytes, bytes]] = set()
         if self._topology is not None:
             told = {(a, b) for a in nodes for b in nodes if a != b and self._context.hears(a, b)}
-        for (listener, speaker), link in sorted(summary(reception_of(self._context).links).items()):
+        for (listener, speaker), link in sorted(summary(self.reception.links).items()):
             if link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS):
                 continue
             told.discard((listener, speaker))
@@ -378,7 +369,7 @@ class Judge:
                 each.requirements,
                 each.expected,
                 rule.text_of(each),
-                self._marks(each.frames),
+                tuple(map(self._placed, each.frames)),
                 seconds=self._seconds(each),
             )
             for each in rule.findings
@@ -392,29 +383,19 @@ class Judge:
         if not checks:
             reason = reason or "the recording gave no occasion"
             checks.append(Check(Verdict.NOT_APPLICABLE, rule.requirements, reason))
-        verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
-        finding = next((each for each in rule.findings if each.verdict is verdict), None)
-        decisive = next(check for check in checks if check.verdict is verdict)
-        text = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
         numbers = sorted({mark.frame for check in checks for mark in check.frames})
-        return CaseResult(
-            id=rule.id,
-            purpose=rule.purpose,
-            section=rule.section,
-            kind="BV",
-            requirements=rule.requirements,
-            verdict=verdict,
-            reason="" if verdict is Verdict.PASS else text,
-            stimulus=_STIMULUS,
-            expectation=rule.expect,
-            checks=tuple(checks),
+        result = rule.as_case(rule.section, _STIMULUS).result(
+            checks,
             evidence=tuple(self._cited[number] for number in numbers if number in self._cited),
             left_out=rule.left_out,
             rerun=self._command,
             occasions=occasions,
-            consequence=(finding.consequence or CONSEQUENCES.get(rule.id, "")) if finding and failed else "",
-            show=self._show(finding) if finding else "",
         )
+        finding = next((each for each in rule.findings if each.verdict is result.verdict), None)
+        if finding is None:
+            return result
+        consequence = (finding.consequence or CONSEQUENCES.get(rule.id, "")) if failed else ""
+        return msgspec.structs.replace(result, consequence=consequence, show=self._show(finding))
 
     def _passes(self, rule: Invariant, held: list[str], occasions: dict[str, int]) -> Iterator[Check]:
         """Yield checks for the requirements in ``held``, which have no finding.
@@ -450,14 +431,10 @@ class Judge:
         last = numbers[-1]
         near = next(each for each in numbers if last - each < _NEAR)
         frames = str(last) if near == last else f"{near}-{last}"
-        profile = self._codec.profile.name
+        profile = self.codec.profile.name
         return shlex.join(["dcp-codec", "decode", self._path, "--profile", profile, "--frames", frames])
-
-    def _marks(self, marks: tuple[Mark, ...]) -> tuple[Mark, ...]:
-        """Return the marks, with offset and length for records that were given as "KIND variable"."""
-        return tuple(self._placed(mark) for mark in marks)
 
     def _placed(self, mark: Mark) -> Mark:
         """Locate the record of a mark in its saved frame (:func:`placed`); keep the mark if the frame is not saved."""
         event = self._cited.get(mark.frame)
-        return mark if event is None else placed(self._codec, mark, bytes.fromhex(event.octets), event.start)
+        return mark if event is None else placed(self.codec, mark, bytes.fromhex(event.octets), event.start)

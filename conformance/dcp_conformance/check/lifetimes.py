@@ -69,11 +69,6 @@ class Lifetimes:
             return spec.creation_time != known.creation_time
         return spec != known and sender == spec.prod_id
 
-    def producer(self, var_id: int) -> bytes | None:
-        """Return the producer in the first create of a variable; None if no create was heard."""
-        life = self._known.get(var_id)
-        return None if life is None else life.producer
-
     def first(self, var_id: int) -> tuple[int, Statement] | None:
         """Return time (ns since 1970) and record of the producer's create if it was the variable's first record."""
         life = self._known.get(var_id)

@@ -40,32 +40,6 @@ from .versions import Versions, undecided, weakness
 _LOOKED_AT, _ENOUGH = 5_000, 10
 
 
-def judge_recording(
-    path: Path,
-    profile: str | None,
-    pics: Pics,
-    *,
-    ether_type: str | None = None,
-    command: str = "",
-    period_known: bool = False,
-    show_progress: bool = False,
-) -> tuple[RunResult, Codec]:
-    """Judge one recording; return the result and the codec that decoded it.
-
-    ``profile``: name or file of a profile; None for the one in ``pics``, or else a guess. ``ether_type``: replaces the
-    EtherType of the profile. ``period_known``: the beacon period in ``pics`` is that of the network; False: estimate
-    it from the recording. ``show_progress``: show a progress bar on standard error if that is a terminal and the file
-    is long.
-
-    Raises :class:`UsageError` if the file or the profile does not exist, or the file is not a capture or has no DCP
-    frames.
-    """
-    return judge_versions(
-        path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
-        show_progress=show_progress,
-    )[0]  # fmt: skip
-
-
 def judge_versions(
     path: Path,
     profile: str | None,
@@ -80,7 +54,12 @@ def judge_versions(
     tables: Path | None = None,
     jobs: int | None = None,
 ) -> list[tuple[RunResult, Codec]]:
-    """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
+    """Judge one recording; return the result and the codec that decoded it, two of them for beacons of two versions.
+
+    ``profile``: name or file of a profile; None for the one in ``pics``, or else a guess. ``ether_type``: replaces the
+    EtherType of the profile. ``period_known``: the beacon period in ``pics`` is that of the network; False: estimate
+    it from the recording. ``show_progress``: show a progress bar on standard error if that is a terminal and the file
+    is long.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
@@ -88,7 +67,8 @@ def judge_versions(
     ``tables``: a folder for the tables of the ledger. ``jobs``: number of processes, 1 to 3; None: as many for a long
     file as there are processors.
 
-    Raises :class:`UsageError` as :func:`judge_recording` does.
+    Raises :class:`UsageError` if the file or the profile does not exist, or the file is not a capture or has no DCP
+    frames.
     """
     found, judges, notes = judges_of(
         path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
@@ -119,7 +99,7 @@ def judges_of(
     """Read a recording; return the profile, the judges that have received the frames, and notes about damage.
 
     There are two judges if the recording has beacons of two versions. ``jobs``: as in :func:`judge_versions`.
-    ``all_rules``: False: apply only the rules about reactions. Raises :class:`UsageError` as :func:`judge_recording`
+    ``all_rules``: False: apply only the rules about reactions. Raises :class:`UsageError` as :func:`judge_versions`
     does.
     """
     found = _Choice(path, profile or pics.pixit.profile, ether_type)

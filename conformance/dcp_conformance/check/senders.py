@@ -15,6 +15,8 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 _LONG_GAP = 20
 #: For senders without sequence numbers: a pause of more than this (ns) is treated as a long gap.
 _PAUSE = 2_000_000_000
+#: Time in ns after which a gap in the recording must have shown.
+GAP_SHOWS = 2_000_000_000
 #: Maximum number of gaps that are remembered.
 _GAPS = 256
 

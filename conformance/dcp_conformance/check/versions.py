@@ -39,9 +39,7 @@ def _undecided(case: CaseResult, why: str) -> CaseResult:
         return case
     check = Check(Verdict.INCONCLUSIVE, case.requirements, why)
     kept = tuple(each for each in case.checks if each.verdict is Verdict.INFO)
-    return msgspec.structs.replace(
-        case, verdict=Verdict.INCONCLUSIVE, reason=why, checks=(check, *kept), evidence=case.evidence
-    )
+    return msgspec.structs.replace(case, verdict=Verdict.INCONCLUSIVE, reason=why, checks=(check, *kept))
 
 
 class Versions:

@@ -14,7 +14,7 @@ from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE
 from dcp_conformance.errors import UsageError
 
 from .links import link_options, links_of
-from .options import EXIT_STATUS, Factor, as_typed
+from .options import EXIT_STATUS, Factor, as_typed, expected_option, path_option, pics_option, report_option
 
 if TYPE_CHECKING:
     from dcp_conformance.model.case import Case
@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 @click.argument("captures", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
 @click.option("-p", "--profile", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: detected for each recording]")
 @click.option("--ether-type", metavar="HEX", help=ETHER_TYPE_HELP)
-@click.option(
-    "--pics",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="TOML file with claims (PICS) and test parameters (PIXIT).",
-)
+@pics_option
 @click.option(
     "--beacon-period",
     type=Factor(1_000_000),
@@ -37,11 +32,11 @@ if TYPE_CHECKING:
     help="Beacon period of the nodes.  [default: estimated from the recording]",
 )
 @link_options
-@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
-@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
-@click.option(
+@expected_option
+@report_option
+@path_option(
     "--tables",
-    type=click.Path(path_type=Path, file_okay=False),
+    file_okay=False,
     metavar="DIR",
     help="Write the states of variables, the links and the findings there: holdings.csv, links.csv, events.csv.",
 )
@@ -138,7 +133,7 @@ def command(
                 for identifier, verdict in sorted(run.requirements.items()):
                     count = f"{run.occasions[identifier]:,}" if identifier in run.occasions else "-"
                     statement = requirements()[identifier].statement
-                    out.print(f"  {identifier:<12} {verdict:<13} {count:>9}  {statement}", soft_wrap=True)
+                    out.print(f"  {identifier:<12} {verdict:<13} {count:>9}  {statement}")
             unexpected: bool | None = None
             if expected is not None:
                 results = ExpectedResults.load(expected, known_cases.values())

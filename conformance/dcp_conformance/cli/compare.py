@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -42,16 +43,9 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
         return int(contradict(before, after))
     changes = compare(before, after)
     if as_json:
-        import json
-
-        click.echo(
-            json.dumps(
-                [
-                    {"id": each.id, "kind": each.kind, "old": each.old, "new": each.new, "reason": each.reason}
-                    for each in changes
-                ],
-                indent=2,
-            )
+        _print_json(
+            {"id": each.id, "kind": each.kind, "old": each.old, "new": each.new, "reason": each.reason}
+            for each in changes
         )
     else:
         for each in changes:
@@ -63,15 +57,19 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
     return int(any(each.kind in WORSE for each in changes))
 
 
+def _print_json(rows: Iterable[dict[str, Any]]) -> None:
+    import json
+
+    click.echo(json.dumps(list(rows), indent=2))
+
+
 def _print_requirements(
     rows: list[tuple[str, Verdict | None, Verdict | None]], kinds: tuple[str, str], *, as_json: bool
 ) -> None:
     """Print the requirements with the verdicts of two commands in adjacent columns."""
     first, second = kinds
     if as_json:
-        import json
-
-        click.echo(json.dumps([{"id": name, first: one, second: two} for name, one, two in rows], indent=2))
+        _print_json({"id": name, first: one, second: two} for name, one, two in rows)
         return
     say(f"{'requirement':<12}  {first:<13}  {second}")
     for name, one, two in rows:

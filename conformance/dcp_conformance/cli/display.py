@@ -32,7 +32,6 @@ from dcp_conformance.model.results import CaseResult, Check, RunResult
 from dcp_conformance.model.survival import bad_checks
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.overview import (
-    Death,
     certainty,
     deaths,
     diagnosed,
@@ -85,9 +84,9 @@ class SafeConsole(Console):
         return super().render_str(plain(text, keep="\n\t"), **more)
 
 
-def console(stream: object = None) -> Console:
-    """Return a console on standard output or another stream; it writes colours only to a terminal."""
-    return SafeConsole(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
+def console() -> Console:
+    """Return a console on standard output; it writes colours only to a terminal."""
+    return SafeConsole(highlight=False, emoji=False, soft_wrap=True)
 
 
 def data(text: object) -> str:
@@ -240,22 +239,22 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     decided = f"requirements: {', '.join(shown)}" if shown else "no requirement was decided"
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     where = f" over {data(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
-    out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
+    out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}")
     if run.kind != "check" and (failing := _failing(run)):
-        out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
+        out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}")
     _print_diagnosis(out, run)
     if lost := undecided_deaths(run):
-        out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}", soft_wrap=True)
+        out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}")
     for identifier, instead in run.declared.items():
-        out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}", soft_wrap=True)
+        out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}")
     for identifier, denial in run.denied.items():
-        out.print(f"{data(identifier)} is not met, {data(denial)}", soft_wrap=True)
+        out.print(f"{data(identifier)} is not met, {data(denial)}")
     if nothing_decided(run.cases):
-        out.print("nothing was decided: no case applies", soft_wrap=True)
+        out.print("nothing was decided: no case applies")
     for line in _readings(run):
-        out.print(line, soft_wrap=True)
+        out.print(line)
     for note in run.notes[:_NOTES]:
-        out.print(f"note: {data(note)}", soft_wrap=True)
+        out.print(f"note: {data(note)}")
     if len(run.notes) > _NOTES:
         out.print(f"      ... and {len(run.notes) - _NOTES} more, which the report shows")
     count = sum(case.counted for case in run.cases)
@@ -268,10 +267,10 @@ def print_findings(run: RunResult) -> None:
     out = console()
     alike = deaths(run)
     for group in alike:
-        _print_death(out, group)
+        _print_alike(out, Verdict.FAIL, f"the implementation {group.how}", group.cases)
     printed = {id(case) for group in alike for case in group.cases}
     for cases in _errors_alike(run):
-        _print_errors(out, cases)
+        _print_alike(out, Verdict.ERROR, cases[0].reason, cases)
         printed.update(map(id, cases))
     for case in run.cases:
         if case.verdict in (Verdict.FAIL, Verdict.ERROR) and case.counted and id(case) not in printed:
@@ -282,24 +281,19 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
     """Print the probable faults, starting with the one that explains the most failures."""
     if run.diagnosis is None or not (heading := diagnosed(run)):
         return
-    out.print(f"\n[bold]{data(heading)}[/]", soft_wrap=True)
+    out.print(f"\n[bold]{data(heading)}[/]")
     if (said := stated(run)) and run.diagnosis.stated is not None:
-        out.print(f"  {data(said)}  \\[{data(', '.join(run.diagnosis.stated.requirements))}]", soft_wrap=True)
+        out.print(f"  {data(said)}  \\[{data(', '.join(run.diagnosis.stated.requirements))}]")
     for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
-        out.print(
-            f"  {number}. {data(sentence(fault))}  \\[{data(', '.join(fault.requirements))}]",
-            soft_wrap=True,
-        )
+        out.print(f"  {number}. {data(sentence(fault))}  \\[{data(', '.join(fault.requirements))}]")
         for other in fault.alternatives:
-            out.print(f"     or {'it' if fault.likely else 'that'} {data(other)}", soft_wrap=True)
+            out.print(f"     or {'it' if fault.likely else 'that'} {data(other)}")
         if not fault.likely and fault.check is not None and fault.check.observed:
-            out.print(
-                f"     expected {data(fault.check.expected)}; observed {data(fault.check.observed)}", soft_wrap=True
-            )
-        out.print(f"     {data(certainty(fault))}", soft_wrap=True)
+            out.print(f"     expected {data(fault.check.expected)}; observed {data(fault.check.observed)}")
+        out.print(f"     {data(certainty(fault))}")
         frame = f", frame {fault.mark.frame}" if fault.mark is not None else ""
         if fault.case:
-            out.print(f"     best seen in {data(fault.case)}{frame}; again: {data(fault.rerun)}", soft_wrap=True)
+            out.print(f"     best seen in {data(fault.case)}{frame}; again: {data(fault.rerun)}")
     if len(run.diagnosis.faults) > _FAULTS:
         out.print(f"  ... and {len(run.diagnosis.faults) - _FAULTS} more, which the report shows")
 
@@ -345,7 +339,7 @@ def _print_observations(out: Console, run: RunResult) -> None:
         asked[check.expected] += 1
     for place in sorted(place for _, place in sorted(turns)[:_OBSERVATIONS]):
         check = seen[place]
-        out.print(f"  {data(check.expected)}: {data(check.observed)}{_frames(check)}", soft_wrap=True)
+        out.print(f"  {data(check.expected)}: {data(check.observed)}{_frames(check)}")
     if len(seen) > _OBSERVATIONS:
         out.print(f"  ... and {len(seen) - _OBSERVATIONS} more, which the report shows")
 
@@ -371,40 +365,24 @@ def _sections(run: RunResult) -> Table:
     for verdict in columns:
         heading = _HEADINGS.get(verdict, str(verdict))
         table.add_column(heading, justify="right", no_wrap=True, min_width=len(heading))
-    sections: dict[tuple[str, str], dict[Verdict, int]] = {}
+    # Group by document: a row for every heading would fill pages.
+    sections: dict[tuple[str, str], Counter[Verdict]] = {}
     for case in run.cases:
-        if not case.counted:
-            continue
-        # Group by document: a row for every heading would fill pages.
-        row = sections.setdefault((case.table, case.section.partition(":")[0]), dict.fromkeys(Verdict, 0))
-        row[case.verdict] += 1
-    totals: dict[str, dict[Verdict, int]] = {}
+        if case.counted:
+            sections.setdefault((case.table, case.section.partition(":")[0]), Counter())[case.verdict] += 1
     for kind in ("conformance", "robustness"):
-        rows = sorted((section, row) for (each, section), row in sections.items() if each == kind)
+        rows = [(section, row) for (each, section), row in sorted(sections.items()) if each == kind]
         if not rows:
             continue
         table.add_row(f"[bold]{kind}[/]")
-        total = totals.setdefault(kind, dict.fromkeys(Verdict, 0))
         for section, row in rows:
             table.add_row(f"  {data(section)}", *_cells(row, columns))
-            for verdict, count in row.items():
-                total[verdict] += count
-        table.add_row("  [bold]all[/]", *_cells(total, columns))
+        table.add_row("  [bold]all[/]", *_cells(sum((row for _, row in rows), Counter()), columns))
     return table
 
 
-def _cells(row: dict[Verdict, int], columns: Iterable[Verdict]) -> list[str]:
+def _cells(row: Counter[Verdict], columns: Iterable[Verdict]) -> list[str]:
     return [f"[{STYLES[each]}]{row[each]}[/]" if row[each] else "[dim].[/]" for each in columns]
-
-
-def _print_death(out: Console, death: Death) -> None:
-    """Print one finding for the cases in which the SUT crashed in the same way."""
-    style, first = STYLES[Verdict.FAIL], death.cases[0]
-    out.print(f"\n[{style}]fail[/] [bold]{len(death.cases)} cases[/]: the implementation {data(death.how)}")
-    out.print(f"  cases     {data(listed([case.id for case in death.cases], _CHECKS))}")
-    decided = dict.fromkeys(each for case in death.cases for check in bad_checks(case) for each in check.requirements)
-    out.print(f"  decides   {data(', '.join(decided))}")
-    out.print(f"  again     {data(first.rerun)}")
 
 
 def _errors_alike(run: RunResult) -> list[list[CaseResult]]:
@@ -416,13 +394,15 @@ def _errors_alike(run: RunResult) -> list[list[CaseResult]]:
     return [cases for cases in groups.values() if len(cases) > 1]
 
 
-def _print_errors(out: Console, cases: Sequence[CaseResult]) -> None:
-    """Print one finding for cases that ended with the same error."""
-    style, first = STYLES[Verdict.ERROR], cases[0]
-    out.print(f"\n[{style}]error[/] [bold]{len(cases)} cases[/]: {data(first.reason)}", soft_wrap=True)
-    out.print(f"  cases     {data(listed([case.id for case in cases], _CHECKS))}", soft_wrap=True)
-    if first.rerun:
-        out.print(f"  again     {data(first.rerun)}", soft_wrap=True)
+def _print_alike(out: Console, verdict: Verdict, text: str, cases: Sequence[CaseResult]) -> None:
+    """Print one finding for cases in which the SUT crashed in the same way, or that ended with the same error."""
+    out.print(f"\n[{STYLES[verdict]}]{verdict}[/] [bold]{len(cases)} cases[/]: {data(text)}")
+    out.print(f"  cases     {data(listed([case.id for case in cases], _CHECKS))}")
+    if verdict is Verdict.FAIL:
+        decided = dict.fromkeys(each for case in cases for check in bad_checks(case) for each in check.requirements)
+        out.print(f"  decides   {data(', '.join(decided))}")
+    if cases[0].rerun:
+        out.print(f"  again     {data(cases[0].rerun)}")
 
 
 def _print_finding(out: Console, case: CaseResult) -> None:
@@ -431,17 +411,17 @@ def _print_finding(out: Console, case: CaseResult) -> None:
     previous = ""
     for check in bad[:_CHECKS]:
         if check.expected != previous:
-            out.print(f"  expected  {data(check.expected)}", soft_wrap=True)
-        out.print(f"  observed  {data(check.observed)}{_frames(check)}", soft_wrap=True)
+            out.print(f"  expected  {data(check.expected)}")
+        out.print(f"  observed  {data(check.observed)}{_frames(check)}")
         previous = check.expected
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")
     decided = dict.fromkeys(each for check in bad for each in check.requirements)
     if decided:
-        out.print(f"  decides   {data(', '.join(decided))}", soft_wrap=True)
+        out.print(f"  decides   {data(', '.join(decided))}")
     if case.consequence:
-        out.print(f"  means     {data(case.consequence)}", soft_wrap=True)
+        out.print(f"  means     {data(case.consequence)}")
     if case.show:
-        out.print(f"  show      {data(case.show)}", soft_wrap=True)
+        out.print(f"  show      {data(case.show)}")
     if case.rerun:
-        out.print(f"  again     {data(case.rerun)}", soft_wrap=True)
+        out.print(f"  again     {data(case.rerun)}")

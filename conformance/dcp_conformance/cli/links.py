@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from dcp_conformance.errors import UsageError
+
+from .options import F, path_option
 
 if TYPE_CHECKING:
     from dcp_conformance.check.topology import Topology
@@ -17,10 +18,8 @@ if TYPE_CHECKING:
 #: Group of entry points with functions that return the links in a file, by the kind of the file.
 READERS: Final = "dcp_conformance.topologies"
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
-
-def link_options(command: Command) -> Command:
+def link_options(command: F) -> F:
     """Add the options to a command."""
     hears = click.option(
         "--hears",
@@ -29,9 +28,8 @@ def link_options(command: Command) -> Command:
         help="Node A can hear B and C only; A-B-C: a line, in both directions. Ends of identifiers are enough. "
         "Repeatable.  [default: inferred from reactions]",
     )
-    topology = click.option(
+    topology = path_option(
         "--topology",
-        type=click.Path(path_type=Path),
         metavar="FILE",
         help="TOML file with a table [hears], or the scenario of dcp-node that made the recording.",
     )

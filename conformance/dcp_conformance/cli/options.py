@@ -56,9 +56,22 @@ def as_typed(*words: str) -> str:
     return command.encode("utf-8", "backslashreplace").decode()
 
 
+def path_option(*names: str, metavar: str, help: str, multiple: bool = False, **path: bool) -> Callable[[F], F]:
+    """Return an option that names a file or folder. ``path``: what :class:`click.Path` requires of it."""
+    kind = click.Path(path_type=Path, **path)
+    return click.option(*names, type=kind, metavar=metavar, multiple=multiple, help=help)
+
+
 def out_option(text: str) -> Callable[[F], F]:
     """Add the option ``--out FILE`` with the help ``text``."""
-    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help=text)
+    return path_option("-o", "--out", metavar="FILE", help=text)
+
+
+pics_option = path_option(
+    "--pics", metavar="FILE", help="TOML file: claims (PICS), test parameters (PIXIT), access to the implementation."
+)
+expected_option = path_option("--expected", metavar="FILE", help="TOML file with expected results.")
+report_option = path_option("--report-dir", metavar="DIR", help="Write the report there.")
 
 
 def target_options(function: F) -> F:
@@ -81,12 +94,7 @@ def target_options(function: F) -> F:
             click.option(
                 "--ut", metavar="HOW", help="Upper tester: unix:PATH, tcp:HOST:PORT, exec:COMMAND, commands:FILE."
             ),
-            click.option(
-                "--pics",
-                type=click.Path(path_type=Path),
-                metavar="FILE",
-                help="TOML file: claims (PICS), test parameters (PIXIT), access to the implementation.",
-            ),
+            pics_option,
             click.option("--start", metavar="COMMAND", help="Command that starts the implementation."),
             click.option(
                 "--restart", metavar="COMMAND", help="Command that restarts the implementation after a crash."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,19 +70,13 @@ def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | N
     candidates = [codec, *(Codec(name) for name in profile_names() if name != codec.profile.name)]
     # If the user has named the profile, do not send frames of other profiles.
     asking = [codec] if chosen else None
-    lower = open_lower(target, codec)
-    try:
-        upper = open_upper(target.ut, starting=False) if target.ut is not None else None
-        try:
-            asked_for = codec.profile.name if chosen else None
-            pics, remarks = draft(
-                lower, upper, candidates, seconds, ask=not passive, asked_for=asked_for, asking=asking
-            )
-        finally:
-            if upper is not None:
-                upper.close()
-    finally:
-        lower.close()
+    upper = None
+    with contextlib.ExitStack() as stack:
+        lower = stack.enter_context(contextlib.closing(open_lower(target, codec)))
+        if target.ut is not None:
+            upper = stack.enter_context(contextlib.closing(open_upper(target.ut, starting=False)))
+        asked_for = codec.profile.name if chosen else None
+        pics, remarks = draft(lower, upper, candidates, seconds, ask=not passive, asked_for=asked_for, asking=asking)
     # The draft also has the options of this command, so that a run needs only the file.
     access = Access(**{name: getattr(target, name) for name in Access.__struct_fields__})
     write_pics(msgspec.structs.replace(pics, access=access), out, remarks)
@@ -104,18 +100,13 @@ def _check_adapter(ut: str | None, target: TargetOptions) -> int:
         raise UsageError("--check-adapter needs the upper tester: --ut unix:PATH, tcp:HOST:PORT or exec:COMMAND")
     # The link is not used.
     codec, _ = describe(replace(target, ut=None, start=None, stop=None, restart=None, pid=None))
-    upper = open_upper(ut, starting=False)
-    try:
+    with contextlib.closing(open_upper(ut, starting=False)) as upper:
         found = Examination(upper, codec.profile, whole=True).walk()
-    finally:
-        upper.close()
     for method, outcome, what in table(found):
         click.echo(f"{method:<34}{outcome:<14}{plain(what)}".rstrip())
-    wrong = [each for each in found if each.outcome == "wrong"]
-    absent = [each for each in found if each.outcome == "absent"]
-    right = len([each for each in found if each.outcome == "right"])
+    count = Counter(each.outcome for each in found)
     click.echo(
-        f"{len(found)} methods and notifications: {right} keep to the contract, {len(wrong)} do not, {len(absent)} are "
-        "absent. The contract: conformance/UPPER-TESTER.md"
+        f"{len(found)} methods and notifications: {count['right']} keep to the contract, {count['wrong']} do not, "
+        f"{count['absent']} are absent. The contract: conformance/UPPER-TESTER.md"
     )
-    return 1 if wrong else 0
+    return 1 if count["wrong"] else 0

@@ -15,7 +15,7 @@ from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.node_id import node_id_octets
 
-from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, target_of, target_options
+from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, report_option, target_of, target_options
 
 #: Duration of a replay in seconds above which a warning is printed.
 _LONG = 600
@@ -38,7 +38,7 @@ _LONG = 600
     help="Speed; 2: twice as fast, 0: without pauses.  [default: 1]",
 )
 @click.option("--no-services", is_flag=True, help="Do not repeat the service calls of the node's applications.")
-@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@report_option
 def command(capture: Path, **options: Any) -> int:
     """Replay the recording FILE to an implementation, and judge its reactions.
 
@@ -46,7 +46,7 @@ def command(capture: Path, **options: Any) -> int:
     tester, repeats the service calls of that node's applications. An independent model of the specification judges the
     reactions, and the final state is compared with that of the recorded node.
     """
-    from dcp_conformance.execution.replay import Replay, ReplayOptions, choose_node, decided, recorded_nodes
+    from dcp_conformance.execution.replay import Replay, choose_node, decided, recorded_nodes
     from dcp_conformance.execution.target import describe, open_target, require_answer
     from dcp_conformance.model.moment import timestamp
     from dcp_conformance.model.outcome import assemble, exit_status
@@ -68,7 +68,7 @@ def command(capture: Path, **options: Any) -> int:
         if target_options.beacon_period_ms is None:
             target_options = dataclasses.replace(target_options, beacon_period_ms=100.0)
         node = chosen
-    replay = Replay(capture, ReplayOptions(node, options["speed"], not options["no_services"]))
+    replay = Replay(capture, node, speed=options["speed"], services=not options["no_services"])
     begun, started = time.monotonic(), timestamp()
     again = as_typed()
     report = options["report_dir"]

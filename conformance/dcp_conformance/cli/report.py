@@ -10,7 +10,7 @@ import click
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-from .options import out_option
+from .options import out_option, path_option
 
 if TYPE_CHECKING:
     from dcp_conformance.model.results import RunResult
@@ -19,27 +19,20 @@ if TYPE_CHECKING:
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
 @out_option("Write the page to this file (HTML).")
-@click.option(
+@path_option(
     "--issues",
-    type=click.Path(path_type=Path, file_okay=False),
+    file_okay=False,
     metavar="DIR",
     help="For one run: write a report for each probable fault to DIR, to be pasted into an issue tracker.",
 )
-@click.option(
+@path_option(
     "--requirements",
-    type=click.Path(path_type=Path, dir_okay=False),
+    dir_okay=False,
     metavar="FILE",
     help="For one run: the verdict of each requirement as a table (.csv or .md).",
 )
-@click.option(
-    "--summary",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="For one run: a summary of one page (.md).",
-)
-@click.option(
-    "--badge", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="For one run: a badge (.svg)."
-)
+@path_option("--summary", dir_okay=False, metavar="FILE", help="For one run: a summary of one page (.md).")
+@path_option("--badge", dir_okay=False, metavar="FILE", help="For one run: a badge (.svg).")
 def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, **exports: Path | None) -> int:
     """Generate the page of a run again, or compare several runs in one table.
 

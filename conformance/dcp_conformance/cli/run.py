@@ -12,7 +12,18 @@ import click
 from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 
-from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, selection_of, selection_options, target_of, target_options
+from .options import (
+    EXIT_STATUS,
+    TARGET_SECTIONS,
+    as_typed,
+    expected_option,
+    path_option,
+    report_option,
+    selection_of,
+    selection_options,
+    target_of,
+    target_options,
+)
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.run import ConformanceRun
@@ -32,17 +43,11 @@ if TYPE_CHECKING:
 )
 @selection_options
 @target_options
-@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
-@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
-@click.option(
-    "--artefacts",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Also run the fuzzer's findings in DIR as cases.",
-)
-@click.option(
+@report_option
+@expected_option
+@path_option("--artefacts", metavar="DIR", help="Also run the fuzzer's findings in DIR as cases.")
+@path_option(
     "--failed",
-    type=click.Path(path_type=Path),
     metavar="REPORT",
     help="Only cases that failed or were undecided in an earlier report (its folder, or results.json).",
 )

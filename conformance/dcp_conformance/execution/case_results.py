@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from dcp_conformance.model.results import CaseResult, Check, EventRecord
-from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.judgement.verdicts import in_force
 from dcp_conformance.test_system.traffic import Event
 
@@ -36,22 +36,12 @@ def result_of(
     ``killed``: whether the case ended the implementation. ``executions``: how often the case was executed.
     ``side_by_side``: whether other cases were executed at the same time.
     """
-    case, bench, checks = trial.case, trial.bench, tuple(checks)
-    verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
-    return CaseResult(
-        id=case.id,
-        purpose=case.purpose,
-        section=case.section,
-        kind=str(case.kind),
+    case, bench = trial.case, trial.bench
+    result = case.result(
+        checks,
         requirements=in_force(case.requirements, bench.profile.spec_version),
-        verdict=verdict,
-        reason=_reason(checks, verdict, executions),
-        stimulus=case.stimulus,
-        expectation=case.expect,
         window=case.window,
         duration=(ended - trial.begun) / 1e9,
-        table="robustness" if case.robustness else "conformance",
-        checks=checks,
         readings=bench.verdicts.readings,
         evidence=tuple(map(_record, bench.traffic.events)),
         left_out=bench.traffic.left_out,
@@ -63,32 +53,15 @@ def result_of(
         short_period=0.0 if bench.session.short_period is None else bench.session.short_period.milliseconds,
         error_detail=trial.detail,
     )
+    if executions == 1 or not result.checks or result.verdict in (Verdict.PASS, Verdict.NOT_APPLICABLE):
+        return result
+    return msgspec.structs.replace(result, reason=f"{result.reason}; executed {executions} times")
 
 
 def doubted(check: Check, executions: int, why: str) -> Check:
     """Return a failed check as inconclusive: it did not fail in each of so many further executions."""
     each = "a further execution" if executions == 1 else f"each of {executions} further executions"
-    return excused(check, f"it did not fail in {each}, and {why}")
-
-
-def excused(check: Check, why: str) -> Check:
-    """Return a failed check as inconclusive for the reason ``why``."""
-    if check.verdict is not Verdict.FAIL:
-        return check
-    return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
-
-
-def _reason(checks: Iterable[Check], verdict: Verdict, executions: int) -> str:
-    """Return the text of the check that decided the verdict; empty for a pass."""
-    decisive = next((check for check in checks if check.verdict is verdict), None)
-    if decisive is None:
-        return "the case has made no check"
-    if verdict is Verdict.NOT_APPLICABLE:
-        return decisive.expected
-    if verdict is Verdict.PASS:
-        return ""
-    reason = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
-    return f"{reason}; executed {executions} times" if executions > 1 else reason
+    return check.excused(f"it did not fail in {each}, and {why}")
 
 
 def _record(event: Event) -> EventRecord:

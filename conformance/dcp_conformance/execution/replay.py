@@ -38,18 +38,6 @@ _LATENCY = 1.6
 _MOST = 20
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayOptions:
-    """Options of a replay."""
-
-    node: bytes | None = None
-    """The recorded node whose part the implementation takes; None: chosen automatically."""
-    speed: float = 1.0
-    """1 is the original timing, 2 is twice as fast, 0 is as fast as the implementation sends beacons."""
-    services: bool = True
-    """Whether to repeat the service calls of the replaced node's applications."""
-
-
 @dataclass(slots=True)
 class RecordedNodes:
     """The nodes of a recording, and its duration."""
@@ -121,9 +109,13 @@ def choose_node(cast: RecordedNodes, sut_id: bytes | None) -> bytes:
 class Replay:
     """Replays one recording as a test case; see :meth:`cases`."""
 
-    def __init__(self, path: Path, options: ReplayOptions) -> None:
-        self._path = path
-        self._options = options
+    def __init__(self, path: Path, node: bytes | None = None, *, speed: float = 1.0, services: bool = True) -> None:
+        """``node``: the recorded node whose part the implementation takes; None: chosen automatically.
+
+        ``speed``: 1 is the original timing, 2 is twice as fast, 0 is as fast as the implementation sends beacons.
+        ``services``: whether to repeat the service calls of the replaced node's applications.
+        """
+        self._path, self._wanted, self._speed, self._services = path, node, speed, services
         self._complaints: OrderedDict[tuple[str, str], list[tuple[str, str, int]]] = OrderedDict()
         self._counts: Counter[tuple[str, str]] = Counter()
         self.node = b""
@@ -153,7 +145,7 @@ class Replay:
         implementation has the identifier of another recorded node.
         """
         self.cast = cast = recorded_nodes(self._path, codec)
-        self.node = self._options.node or choose_node(cast, sut_id)
+        self.node = self._wanted or choose_node(cast, sut_id)
         if self.node not in cast.beacons:
             there = ", ".join(node.hex(":") for node in cast.beacons)
             raise UsageError(f"{self._path}: no node {self.node.hex(':')} in it; there are {there}")
@@ -174,13 +166,13 @@ class Replay:
         oracle = self._oracle(bench, bench.session.sut_id or self.node)
         waiting = Waiting(bench.period, bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
         recorded: dict[int, int | None] = {}
-        actions = _Applications(bench, oracle, self.node) if self._options.services and bench.session.upper else None
+        actions = _Applications(bench, oracle, self.node) if self._services and bench.session.upper else None
         # Beacons before the replay are not judged.
         begun, first, judged = bench.now(), 0, len(bench.heard)
         for frame, heard, source in beacons_of(self._path, bench.codec):
             first = first or frame.time_ns
-            if self._options.speed > 0:
-                due = begun + round((frame.time_ns - first) / self._options.speed)
+            if self._speed > 0:
+                due = begun + round((frame.time_ns - first) / self._speed)
                 bench.waiting.wait_ns(max(0, due - bench.now()))
             elif heard.sender == self.node:
                 # Wait for a beacon of the implementation for each beacon of the replaced node.

@@ -50,13 +50,6 @@ class WorkerEnd(NamedTuple):
     """Number of cases that were executed side by side, and repeated alone."""
 
 
-class _Key(NamedTuple):
-    """Identifies a result within a run."""
-
-    id: str
-    attempt: int
-
-
 class ConformanceRun:
     """One run: the selection, the cases in their order, and their results."""
 
@@ -137,18 +130,15 @@ class ConformanceRun:
             cases, them = ("case that takes long was", "it") if one else ("cases that take long were", "them")
             self._notes.append(f"{self._long} {cases} left out: --plan long runs {them}, too")
         self._attempts: dict[str, int] = {}
-        self._surprises: dict[_Key, str] = {}
+        self._surprises: dict[tuple[str, int], str] = {}
+        """By case and attempt: why the result is unexpected; empty if it is expected."""
         self._began = time.monotonic()
         self._started = timestamp()
 
     def _excluded(self, patterns: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
         """Return the excluded passive rules, and the patterns that do not match a passive rule."""
-        meant = {
-            pattern: {name for name, case in self._invariants.items() if matches(case, pattern)} for pattern in patterns
-        }
-        return {name for names in meant.values() for name in names}, tuple(
-            pattern for pattern in patterns if not meant[pattern]
-        )
+        meant = {each: {name for name, case in self._invariants.items() if matches(case, each)} for each in patterns}
+        return set().union(*meant.values()), tuple(each for each in patterns if not meant[each])
 
     # -- planning ------------------------------------------------------------------------------------------------------
 
@@ -333,7 +323,7 @@ class ConformanceRun:
             # The repetition of the sanity case only checks that the implementation is alive: count a new failure.
             counted = result.verdict in (Verdict.FAIL, Verdict.ERROR) and result.verdict not in earlier
             result = msgspec.structs.replace(result, counted=counted)
-        surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
+        surprise = self._surprises[result.id, result.attempt] = self.expected.judge(case, result)
         self.results.append(result)
         if self._on_result is not None and (result.counted or result.verdict is Verdict.PASS):
             self._on_result(case, result, surprise)
@@ -343,13 +333,13 @@ class ConformanceRun:
         """Add the results of the passive rules, of this process or of all workers."""
         self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._without_sigint]
         for each in self.passive:
-            self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
+            self._surprises[each.id, 1] = self.expected.judge(self._invariants[each.id], each)
 
     def revise(self, result: CaseResult) -> None:
         """Replace an earlier result with the same identifier and attempt."""
-        key = _Key(result.id, result.attempt)
+        key = result.id, result.attempt
         for place, each in enumerate(self.results):
-            if _Key(each.id, each.attempt) == key:
+            if (each.id, each.attempt) == key:
                 result = msgspec.structs.replace(result, counted=each.counted)
                 self.results[place] = result
                 break
@@ -388,19 +378,8 @@ class ConformanceRun:
 
     def _add_lost(self, case: Case, attempt: int) -> None:
         expected, observed = "the case has a result", self.trouble or "the tester has lost it"
-        lost = CaseResult(
-            id=case.id,
-            purpose=case.purpose,
-            section=case.section,
-            kind=str(case.kind),
-            requirements=case.requirements,
-            verdict=Verdict.ERROR,
-            reason=f"{expected}: {observed}",
-            table="robustness" if case.robustness else "conformance",
-            checks=(Check(Verdict.ERROR, case.requirements, expected, observed),),
-            attempt=attempt,
-        )
-        self.take(case, lost)
+        lost = Check(Verdict.ERROR, case.requirements, expected, observed)
+        self.take(case, case.result([lost], attempt=attempt))
 
     # -- several workers -----------------------------------------------------------------------------------------------
 
@@ -432,7 +411,7 @@ class ConformanceRun:
         ran = {result.id for result in self.results}
         selected = [case for case in self.selected if case.id in ran]
         selected += [self._invariants[result.id] for result in self.passive]
-        unexpected = [f"{key.id}: {surprise}" for key, surprise in self._surprises.items() if surprise]
+        unexpected = [f"{name}: {surprise}" for (name, _), surprise in self._surprises.items() if surprise]
         return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
 
     def exit_status(self) -> int:

@@ -31,7 +31,7 @@ from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 from dcp_conformance.upper_tester.faults import Violation
 
 from .body import delete_variables, recorded, run_body
-from .case_results import doubted, excused, result_of
+from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed, listed
 from .survival.attribution import Attribution, Trial, attribute, blamed, came_back, kinds, with_failures_of
 from .survival.life import Life
@@ -56,7 +56,7 @@ CONFIRMATIONS = 2
 _BY_LOSS, _MOST_CONFIRMATIONS = 1e-6, 12
 
 
-class _Done(NamedTuple):
+class Done(NamedTuple):
     """An executed case."""
 
     trial: Trial
@@ -98,7 +98,7 @@ class Runner:
         """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.survival.life.Loss.group`."""
         self.just_started = False
         """Whether the implementation was restarted, and no case has been executed since."""
-        self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
+        self._recent: deque[Done] = deque(maxlen=_SUSPECTS)
         """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []
         self._measured = 0
@@ -363,7 +363,7 @@ class Runner:
                 trial.checks = [doubted(each, executions, why) for each in trial.checks]
                 break
         if why and needed is None:
-            trial.checks = [excused(each, f"{losses.declared}, which may explain it") for each in trial.checks]
+            trial.checks = [each.excused(f"{losses.declared}, which may explain it") for each in trial.checks]
         return trial, executions
 
     def _trial_after_restart(self, trial: Trial) -> Trial:
@@ -469,15 +469,10 @@ class Runner:
             yield
         finally:
             if isinstance(upper, Checked) and upper.faults.unusable > before:
-                why = "but a message of the adapter broke the contract of the upper tester in this case"
-                trial.checks[:] = [
-                    msgspec.structs.replace(
-                        check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; {why}", shown=False
-                    )
-                    if check.verdict is Verdict.FAIL
-                    else check
-                    for check in trial.checks
-                ]
+                why = "a message of the adapter broke the contract of the upper tester in this case"
+                for place, check in enumerate(trial.checks):
+                    if check.verdict is Verdict.FAIL:
+                        trial.checks[place] = msgspec.structs.replace(check.excused(why), shown=False)
 
     @contextmanager
     def _provisionally(self) -> Iterator[None]:
@@ -604,7 +599,7 @@ class Runner:
         It may cause a later death. Its valid frames are not the cause of a death in a later case that also calls
         services.
         """
-        self._recent.append(_Done(trial, result, ended))
+        self._recent.append(Done(trial, result, ended))
         sent = (each for each in trial.bench.traffic.events if each.direction == "sent")
         found = {kinds(self.session.codec, each) for each in sent}
         self.session.survived |= {each for each in found if each is not None}
@@ -660,7 +655,7 @@ class Runner:
             self.control.restart()
         except Exception as error:
             return f"it could not be restarted: {error}"
-        self._forget()
+        self.session.forget()
         if self.session.short_period is not None:
             self.session.short_period.forget()
         self._unsettled = False
@@ -688,7 +683,7 @@ class Runner:
         if self._restartable and not trial.loss.upper_only:
             self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
 
-    def _blame_earlier(self, trial: Trial, suspects: Sequence[_Done]) -> None:
+    def _blame_earlier(self, trial: Trial, suspects: Sequence[Done]) -> None:
         """Revise the result of an earlier case that ended the implementation when it was executed alone."""
         assert trial.loss is not None
         self._count_death(trial)
@@ -731,7 +726,7 @@ class Runner:
         mode = self._reset_mode()
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
-            self._forget()
+            self.session.forget()
             if self.session.short_period is not None:
                 self.session.short_period.renew()
             self._restore_parameters()
@@ -742,7 +737,7 @@ class Runner:
                     raise UpperTesterError(self.dead)
         elif mode == "restart" and self.control is not None:
             self.control.restart()
-            self._forget()
+            self.session.forget()
 
     def _restore_parameters(self) -> None:
         """Set parameters to their initial values, if UT-Reset does not do so."""
@@ -756,10 +751,6 @@ class Runner:
             for name, value in now.items():
                 if (initial := self.session.parameters.get(name, value)) != value:
                     upper.call(f"{protocol}-SetParameter", {"name": name, "value": initial})
-
-    def _forget(self) -> None:
-        """Clear the session's knowledge about the implementation's state, which is the initial state again."""
-        self.session.forget()
 
     # -- the result ----------------------------------------------------------------------------------------------------
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
-
-import msgspec
+from typing import NamedTuple
 
 from dcp_codec.common.events import EventQueue
 from dcp_codec.impairment import Channel, Copy, Counters, Fate
@@ -43,12 +41,14 @@ class ImpairedLowerTester:
 
     def __init__(self, inner: LowerTester, directions: Directions, *, seed: int = 1, tolerance: int = 0) -> None:
         """``tolerance``: maximum excess of a delay over the configured one, in ns, that is not an incident."""
-        self.name = inner.name
+        self.name, self.now, self.wall, self.framed, self.close = (
+            inner.name, inner.now, inner.wall, inner.framed, inner.close,
+        )  # fmt: skip
         self.directions = directions
         self._inner = inner
         self._calm = Directions(directions.to.only_delays(), directions.back.only_delays())
         self._to, self._back = Channel(self._calm.to, seed, "to"), Channel(self._calm.back, seed, "from")
-        self._counters = (Counters(), Counters())
+        self.counters = (Counters(), Counters())
         """The numbers of lost and changed frames while the link was impaired, to the implementation and from it."""
         self._uncounted = (self._to.counters, self._back.counters)
         self._tolerance = tolerance
@@ -75,7 +75,7 @@ class ImpairedLowerTester:
 
     def _switch(self) -> None:
         wanted = self.directions if self._engaged else self._calm
-        counters = self._counters if self._engaged else self._uncounted
+        counters = self.counters if self._engaged else self._uncounted
         for channel, impairment, count in zip((self._to, self._back), wanted, counters, strict=True):
             if channel.counters is not count:
                 channel.counters = count
@@ -86,14 +86,10 @@ class ImpairedLowerTester:
         """Whether the times between beacons are not those at which the implementation sent them."""
         return bool(self.directions.back.jitter or self.directions.back.reorder)
 
-    def counters(self) -> dict[str, Any]:
-        """Return the numbers of frames while the link was impaired (``to``, ``from``), as plain data for JSON."""
-        return {name: msgspec.to_builtins(each) for name, each in zip(("to", "from"), self._counters, strict=True)}
-
     def summary(self) -> str:
         """Describe the configured impairment and its effects."""
         parts = []
-        for where, count in zip(("to the implementation", "from it"), self._counters, strict=True):
+        for where, count in zip(("to the implementation", "from it"), self.counters, strict=True):
             done = [f"{count.lost + count.down} of {count.offered} frames lost"]
             for what in ("corrupted", "duplicated", "reordered"):
                 if number := getattr(count, what):
@@ -105,18 +101,6 @@ class ImpairedLowerTester:
         )
 
     # -- the contract of a lower tester --------------------------------------------------------------------------------
-
-    def now(self) -> int:
-        """Return the monotonic time in ns."""
-        return self._inner.now()
-
-    def wall(self) -> int:
-        """Return the wall-clock time in ns since 1970."""
-        return self._inner.wall()
-
-    def framed(self, octets: bytes, source: bytes) -> bytes:
-        """Return the whole frame of a bearer payload."""
-        return self._inner.framed(octets, source)
 
     def send(self, octets: bytes, source: bytes) -> bytes:
         """Send a bearer payload through the link; return its unimpaired frame. Raise ``LowerTesterError``."""
@@ -214,10 +198,6 @@ class ImpairedLowerTester:
         """Return the losses and the incidents of the impaired link since the last call."""
         found, self._incidents = tuple(self._incidents), []
         return self._inner.health()._replace(incidents=found)
-
-    def close(self) -> None:
-        """Close the inner lower tester; delayed frames are lost."""
-        self._inner.close()
 
 
 class _RealTime(ImpairedLowerTester):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import ModuleType
@@ -26,6 +26,8 @@ from dcp_spec.constants import SpecVersion
 from dcp_conformance.errors import UsageError
 
 from .registry import Registry, define, defined_in
+from .results import CaseResult, Check
+from .verdict import Verdict, worst
 
 if TYPE_CHECKING:
     from dcp_conformance.test_system.bench import Bench
@@ -134,6 +136,29 @@ class Case:
     def base(self) -> str:
         """The identifier without its variant."""
         return self.id.partition("-")[0]
+
+    def result(self, checks: Iterable[Check], **about: Any) -> CaseResult:
+        """Return the result of the case: the worst check decides it, and is the reason if it is not a pass.
+
+        ``about``: further members of the result, and members with another value than follows from the case.
+        """
+        checks = tuple(checks)
+        verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
+        decisive = next((check.text for check in checks if check.verdict is verdict), "the case has made no check")
+        members = {
+            "id": self.id,
+            "purpose": self.purpose,
+            "section": self.section,
+            "kind": str(self.kind),
+            "requirements": self.requirements,
+            "verdict": verdict,
+            "reason": "" if verdict is Verdict.PASS else decisive,
+            "stimulus": self.stimulus,
+            "expectation": self.expect,
+            "table": "robustness" if self.robustness else "conformance",
+            "checks": checks,
+        }
+        return CaseResult(**members | about)
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,29 +73,16 @@ def declarations(capabilities: Capabilities, profile: Profile, rerun: str) -> li
     from .case import CASES, DECLARED, DENIED, cases_of
 
     found = []
+    by_profile = declared_by(profile).items()
     told = {
-        identifier: {name: f"declared by the profile {profile.name}: {text}" for name, text in declared.items()}
-        for identifier, declared in ((DECLARED, declared_by(profile)),)
-    } | {DENIED: denied_by(capabilities, profile, recorded=True)}
+        DECLARED: {name: f"declared by the profile {profile.name}: {text}" for name, text in by_profile},
+        DENIED: denied_by(capabilities, profile, recorded=True),
+    }
     for case in cases_of(importlib.import_module(f"{CASES}.profile_declarations")):
         checks = tuple(
             Check(Verdict.FAIL, (name,), requirement(name).statement, text, shown=True)
             for name, text in told[case.id].items()
         )
         if checks:
-            found.append(
-                CaseResult(
-                    id=case.id,
-                    purpose=case.purpose,
-                    section=case.section,
-                    kind=str(case.kind),
-                    requirements=case.requirements,
-                    verdict=Verdict.FAIL,
-                    reason=f"{checks[0].expected}: {checks[0].observed}",
-                    stimulus=case.stimulus,
-                    expectation=case.expect,
-                    checks=checks,
-                    rerun=rerun,
-                )
-            )
+            found.append(case.result(checks, rerun=rerun))
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import msgspec
 from dcp_spec.catalogue.readings import differs_from_reference, reading
@@ -57,7 +57,7 @@ def assemble(
         profile_title=profile.title,
         spec_version=str(profile.spec_version),
         sut=sut or Sut(),
-        pics=_plain(pics),
+        pics=msgspec.to_builtins(pics),
         cases=cases,
         requirements=with_declared(
             {
@@ -108,8 +108,3 @@ def nothing_decided(cases: Iterable[CaseResult]) -> bool:
     cases = tuple(cases)
     asked_for = [case for case in cases if case.id != SANITY] or cases
     return all(case.verdict in (Verdict.NOT_APPLICABLE, Verdict.TOO_LITTLE) for case in asked_for)
-
-
-def _plain(pics: Pics) -> dict[str, Any]:
-    plain: dict[str, Any] = msgspec.to_builtins(pics)
-    return plain

@@ -42,6 +42,17 @@ class Check(msgspec.Struct, frozen=True, omit_defaults=True):
     seconds: float | None = None
     """Of a recording: when it showed first, in seconds since the first frame."""
 
+    @property
+    def text(self) -> str:
+        """Expectation and observation in one line."""
+        return f"{self.expected}: {self.observed}" if self.observed else self.expected
+
+    def excused(self, why: str) -> Check:
+        """Return a failed check as inconclusive for the reason ``why``; any other check unchanged."""
+        if self.verdict is not Verdict.FAIL:
+            return self
+        return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, observed=f"{self.observed}; but {why}")
+
 
 class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     """A line of the timeline: ``time`` is ns since 1970, ``frame`` a frame number (0: none), ``octets`` are hex."""

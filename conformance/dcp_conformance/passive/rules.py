@@ -36,14 +36,13 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.rules.bp import (
-    MS,
     BeaconFormat,
     BeaconPeriod,
     Broadcast,
     NetworkIdentifier,
     PacketSize,
 )
-from dcp_conformance.check.rules.counters import SequenceNumbers
+from dcp_conformance.check.rules.counters import MS, SequenceNumbers
 from dcp_conformance.check.rules.data import ByteOrder
 from dcp_conformance.check.rules.srp import OwnReports, ReportNumbers
 from dcp_conformance.check.rules.vardis import ContainerOrder, PayloadConsistency

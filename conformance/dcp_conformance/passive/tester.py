@@ -18,7 +18,7 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
-from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 
@@ -263,27 +263,17 @@ class PassiveTester:
                 f"{rule.expect} (checked {occasions} times)" if holds else rule.applies() or "no occasion in this run"
             )
             checks.append(Check(Verdict.PASS if holds else Verdict.NOT_APPLICABLE, (), text))
-        verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
-        decisive = next(check for check in checks if check.verdict is verdict)
         cited = next((kept[mark.frame - 1].case for check in checks for mark in check.frames), None)
         again: list[str] = []
         for case in self._cases_again(cited):
             again += [*options.get(case, ()), case]
-        return CaseResult(
-            id=rule.id,
-            purpose=rule.purpose,
-            section=SECTION,
-            kind="BV",
+        return rule.as_case(SECTION, _STIMULUS).result(
+            checks,
             requirements=tuple(dict.fromkeys(each for check in checks for each in check.requirements)),
-            verdict=verdict,
-            reason="" if verdict is Verdict.PASS else ": ".join(filter(None, (decisive.expected, decisive.observed))),
-            stimulus=_STIMULUS,
-            expectation=rule.expect,
-            checks=tuple(checks),
             evidence=tuple(each.event(number, self._where(each)) for number, each in enumerate(kept, 1)),
             left_out=rule.left_out,
             # Only failures count in the summary: an invariant without a finding is not an executed test case.
-            counted=verdict is Verdict.FAIL,
+            counted=any(check.verdict is Verdict.FAIL for check in checks),
             rerun=f"{rerun} {shlex.join(again)}" if again else rerun,
         )
 

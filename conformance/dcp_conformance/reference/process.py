@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Literal
@@ -38,15 +39,15 @@ PATIENCE = 30.0
 _HELLO = b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello"}\n'
 
 
+@dataclass(frozen=True)
 class ReferenceProcess:
     """A running node, with all that a session needs."""
 
-    def __init__(self, lower: LowerTester, upper: UpperTester, control: SutControl, about: str) -> None:
-        self.lower = lower
-        self.upper = upper
-        self.control = control
-        self.about = about
-        """Over what the tester and the node talk, and why, in one line for people."""
+    lower: LowerTester
+    upper: UpperTester
+    control: SutControl
+    about: str
+    """Over what the tester and the node talk, and why, in one line for people."""
 
 
 @contextlib.contextmanager
@@ -89,9 +90,9 @@ def reference_process(
         control = _NodeControl(command, path, namespace)
         stack.callback(control.close)
         control.start()
-        upper = _first_contact(control, path, patience)
+        wait_for(control, path)
+        upper = control.upper = open_upper(f"unix:{path}", patience)
         stack.callback(upper.close)
-        control.upper = upper
         yield ReferenceProcess(lower, upper, control, about)
 
 
@@ -138,11 +139,6 @@ def _switch_of(namespace: Namespace) -> Switch:
             raise ConformanceError(str(error)) from None
 
     return switch
-
-
-def _first_contact(control: ProcessControl, path: Path, patience: float) -> Reconnecting:
-    wait_for(control, path)
-    return open_upper(f"unix:{path}", patience)
 
 
 def wait_for(control: SutControl, path: Path) -> None:

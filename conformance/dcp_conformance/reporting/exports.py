@@ -20,7 +20,6 @@ from dcp_conformance.model.verdict import Verdict
 
 from .overview import certainty, deaths, diagnosed, headline, sentence
 
-_COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "statement", "cases", "why")
 #: Colours of a badge. The contrast of each with white text is at least 4.5:1 (WCAG 2 AA).
 _GREEN, _RED, _GREY, _DARK = "#1b7a3d", "#b42318", "#5f6670", "#3c434c"
 #: Width of a character of a badge in pixels: that of a wide character, because fonts differ.
@@ -97,7 +96,7 @@ def requirements_csv(run: RunResult) -> str:
     """
     output = io.StringIO()
     writer = csv.writer(output)
-    writer.writerow(_COLUMNS)
+    writer.writerow(Row._fields)
     for row in rows(run):
         writer.writerow([safe_cell(plain(cell)) for cell in row])
     return output.getvalue()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -29,7 +28,7 @@ class ProcessControl:
     * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
       and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
-    * ``pid``, ``pidfile``: a process to watch; the file is read again after a restart.
+    * ``pid``: a process to watch until a restart.
 
     Commands are run without a shell unless they use one (pipes, variables, ``&&``). Nothing is started here before
     :meth:`start` is called.
@@ -41,7 +40,6 @@ class ProcessControl:
         stop: str | None = None,
         restart: str | None = None,
         pid: int | None = None,
-        pidfile: str | Path | None = None,
         *,
         around: Callable[[], AbstractContextManager[object]] = contextlib.nullcontext,
         ends_with_tester: bool = False,
@@ -59,7 +57,6 @@ class ProcessControl:
         self._start = split("--start", start) if isinstance(start, str) else start
         self._stop = None if stop is None else split("access.stop", stop)
         self._restart = None if restart is None else split("--restart", restart)
-        self._pidfile = None if pidfile is None else Path(pidfile)
         self._log = log
         if log is not None:
             log.unlink(missing_ok=True)
@@ -80,10 +77,6 @@ class ProcessControl:
                 self._watched = Held(pid)
             except ProcessLookupError:
                 raise UsageError(f"--pid {pid}: there is no such process") from None
-        elif self._pidfile is not None and self._start is None:
-            self._watch_pidfile(0)
-            if self._watched is None:
-                raise UsageError(f"--pidfile {pidfile}: it names no process that runs")
 
     # -- SutControl --------------------------------------------------------------------------------------------
 
@@ -123,7 +116,6 @@ class ProcessControl:
             self.start()
         else:
             raise ConformanceError("there is no command to restart the implementation (--restart, or --start)")
-        self._watch_pidfile(PATIENCE)
         for each in self.after_restart:
             each()
 
@@ -159,7 +151,6 @@ class ProcessControl:
             raise ConformanceError(f"--start: the command ended at once with {ending(status)}{said}")
         if status == 0:
             self._launched = True
-        self._watch_pidfile(PATIENCE)
 
     def _end(self) -> None:
         if self._stop is not None:
@@ -194,23 +185,6 @@ class ProcessControl:
             command.close()
 
     # -- watching ----------------------------------------------------------------------------------------------
-
-    def _watch_pidfile(self, patience: float) -> None:
-        """Watch the process that the file names, as soon as it names one that runs."""
-        if self._pidfile is None:
-            return
-        deadline = time.monotonic() + patience
-        while True:
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                self._watched = Held(int(self._pidfile.read_text().split()[0]))
-                return
-            if time.monotonic() >= deadline:
-                if patience:
-                    raise ConformanceError(
-                        f"--pidfile {self._pidfile}: it names no process that runs, after {patience:g} s"
-                    )
-                return
-            time.sleep(0.02)
 
     def on_link(self) -> bool:
         """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 import shlex
-import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.options import applied
+from dcp_conformance.cli.options import F, applied, path_option
 from dcp_conformance.errors import UsageError
 
 from dcp_codec.common.commandline import say
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
     from dcp_lab.fuzz.findings.replaying import Replayed
     from dcp_lab.fuzz.generate.coverage import Coverage
     from dcp_lab.fuzz.steps import Generator
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 #: Default number of tests that ``--dry-run`` writes.
 _DRY_RUN = 1000
@@ -57,16 +53,9 @@ def campaign_options(function: F) -> F:
             click.option(
                 "--rate", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Maximum tests per second."
             ),
-            click.option(
-                "--recording",
-                type=click.Path(path_type=Path),
-                multiple=True,
-                metavar="FILE",
-                help="Also mutate the frames of this recording.",
-            ),
-            click.option(
+            path_option("--recording", multiple=True, metavar="FILE", help="Also mutate the frames of this recording."),
+            path_option(
                 "--dry-run",
-                type=click.Path(path_type=Path),
                 metavar="FILE",
                 help="Write the frames to a recording (.mcap, .pcap or .pcapng) instead of sending them.",
             ),
@@ -78,9 +67,7 @@ def campaign_options(function: F) -> F:
                 metavar="[FILE]",
                 help="Show the coverage of the inputs; also write it to FILE (JSON).",
             ),
-            click.option(
-                "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write findings to this folder."
-            ),
+            path_option("--artefacts", metavar="DIR", help="Write findings to this folder."),
             click.option("--quiet", "-q", is_flag=True, help="Show only findings."),
         ],
     )
@@ -163,6 +150,7 @@ def run_campaign(campaign: Campaign, options: dict[str, Any], *, run: Callable[[
     """Run a campaign with progress output; return the exit status. ``run`` replaces ``campaign.run``."""
     from dcp_conformance.errors import LowerTesterError, WorkerError
 
+    from dcp_codec.common.signals import ending_like_interrupts
     from dcp_lab.fuzz.execute.live import NotAliveError
     from dcp_lab.fuzz.findings.description import headline
 
@@ -201,7 +189,8 @@ def run_campaign(campaign: Campaign, options: dict[str, Any], *, run: Callable[[
     campaign.on_effect = None if quiet else effect
     status = 0
     try:
-        with _stopped_by_sigterm():
+        # The campaign saves its state, and ends the processes that it started.
+        with ending_like_interrupts():
             (run or campaign.run)(_limits(options))
     except KeyboardInterrupt:
         click.echo("stopped", err=True)
@@ -255,16 +244,6 @@ def _write_coverage(coverage: Coverage, path: Path) -> None:
         path.write_bytes(msgspec.json.format(msgspec.json.encode(coverage), indent=1) + b"\n")
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-@contextlib.contextmanager
-def _stopped_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end a campaign as Ctrl-C does: save its state and end the processes that it started."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def write_tests(codec: Codec, generator: Generator, options: dict[str, Any]) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.options import TARGET_SECTIONS, target_of, target_options
+from dcp_conformance.cli.options import TARGET_SECTIONS, path_option, target_of, target_options
 from dcp_conformance.errors import UsageError
 
 from dcp_codec.common.commandline import SectionedCommand, say
@@ -158,9 +158,7 @@ def live_command(**options: Any) -> int:
 @click.option("--steps", type=click.IntRange(1), default=12, metavar="N", help="Steps of a sequence.  [default: 12]")
 @click.option("--database", default="", metavar="DIR", help="Folder of Hypothesis's examples, which are tried first.")
 @click.option("--coverage", is_flag=True, help="Show the reached pairs of state and event.")
-@click.option(
-    "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write the counterexample to this folder."
-)
+@path_option("--artefacts", metavar="DIR", help="Write the counterexample to this folder.")
 def model_command(**options: Any) -> int:
     """Search for a sequence in which an implementation does what the model of a node forbids.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 import msgspec
-from dcp_conformance.cli.options import as_typed
+from dcp_conformance.cli.options import as_typed, path_option
 from dcp_conformance.errors import UsageError
 
 from dcp_codec.common.commandline import say
@@ -50,15 +50,8 @@ EXIT_STATUS = (
     metavar="N",
     help="Number of concurrent cells.  [default: six for each processor; --virtual: one]",
 )
-@click.option(
-    "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."
-)
-@click.option(
-    "--replay",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Run the cell of a failed/*.json again, with its seed.",
-)
+@path_option("--report-dir", metavar="DIR", help="Write reports and recordings there.")
+@path_option("--replay", metavar="FILE", help="Run the cell of a failed/*.json again, with its seed.")
 @click.option("--list", "show_list", is_flag=True, help="Only show the network tests.")
 @click.option("--quiet", "-q", is_flag=True, help="Show only cells that do not pass.")
 def command(

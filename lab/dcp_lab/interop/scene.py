@@ -160,18 +160,17 @@ class Scene:
             )  # fmt: skip
             raise StopError
 
-    def report_states(self, places: Iterable[int] | None = None) -> None:
-        """Submit safety data at places (default: all) every 100 ms from now on."""
-        chosen = set(self.places if places is None else places)
+    def report_states(self) -> None:
+        """Submit safety data at all places every 100 ms from now on."""
         least = min(place.limits.neighbour_timeout_ms for place in self.world.places)
         self.require(
             2 * self.limits.beacon_period_ms < least,
             "the neighbour table timeout of a station is below two beacon periods: entries come and go",
         )
-        for place in chosen:
+        for place in self.places:
             if self.world.offers(place, "SRP-UpdateSafetyData") is False:
                 raise NotApplicableError(f"SRP-UpdateSafetyData cannot be called at place {place} ({self.name(place)})")
-        self._reporting = chosen
+        self._reporting = set(self.places)
         self._next_report = self.world.now
 
     def neighbours_of(self, place: int) -> list[int] | None:

@@ -86,15 +86,11 @@ class Mutation(NamedTuple):
 class Mutator:
     """Draws mutations of a pool of messages."""
 
-    def __init__(self, codec: Codec, rng: random.Random, pool: Iterable[bytes], *, plan: Node | None = None) -> None:
-        """``pool``: bearer payloads, which need not be valid; ``plan``: their layout, by default that of beacons.
-
-        Raises ValueError for a pool without any octets.
-        """
-        layout = codec.beacon_plan if plan is None else plan
+    def __init__(self, codec: Codec, rng: random.Random, pool: Iterable[bytes]) -> None:
+        """``pool``: bearer payloads, which need not be valid. Raises ValueError for a pool without any octets."""
         self._rng = rng
         self._chance = Draws(rng)
-        self._dissect = generate_dissector(layout, "of a pool")
+        self._dissect = generate_dissector(codec.beacon_plan, "of a pool")
         self.sources = [_taken_apart(self._dissect(each, 0, 0).root, each) for each in pool if each]
         if not self.sources:
             raise ValueError("there is nothing to mutate: the pool is empty")

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.check import RULES, Judge
-from dcp_conformance.check.recording import judge_recording
+from dcp_conformance.check.recording import judge_versions
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import DECLARED
 from dcp_conformance.model.declared import declared_by
@@ -682,7 +682,7 @@ class TestNetworksThatFollowTheSpecification:
         with create_capture(path) as writer:
             for frame in frames:
                 writer.write(frame)
-        run, _ = judge_recording(path, "dcp-2.0", Pics())
+        run, _ = judge_versions(path, "dcp-2.0", Pics())[0]
         assert findings(run) == []
 
     @pytest.mark.part("suite")
@@ -780,7 +780,7 @@ BLAMED = {
 class TestCaptures:
     @pytest.mark.parametrize("name", GOLDENS)
     def test_findings_in_the_captures_are_true(self, name: str):
-        run, codec = judge_recording(CAPTURES / f"{name}.mcap", None, Pics())
+        run, codec = judge_versions(CAPTURES / f"{name}.mcap", None, Pics())[0]
         failed = {case.id: case for case in run.cases if case.verdict is Verdict.FAIL}
         assert {
             rule: {each for check in case.checks if check.verdict is Verdict.FAIL for each in check.requirements}
@@ -800,19 +800,19 @@ class TestCaptures:
         run = judged(air.frames, air.profile, Pics())
         found = " ".join(check.observed for check in case_of(run, "CK_DATA_PACKED").checks)
         assert "virtual table pointer (zero)" in found
-        run, _ = judge_recording(CAPTURES / "a_bus3.mcap", None, Pics())
+        run, _ = judge_versions(CAPTURES / "a_bus3.mcap", None, Pics())[0]
         found = " ".join(check.observed for check in case_of(run, "CK_DATA_PACKED").checks)
         assert "virtual table pointer (0x" in found
         assert "virtual table pointer (zero)" not in found
 
     def test_hazards_of_the_design_are_observed_and_not_faults(self):
-        run, _ = judge_recording(CAPTURES / "a_bus3_v1.3.6.mcap", None, Pics())
+        run, _ = judge_versions(CAPTURES / "a_bus3_v1.3.6.mcap", None, Pics())[0]
         seen = [check for check in case_of(run, "CK_VD_REQUEST").checks if check.verdict is Verdict.INFO]
         assert {each for check in seen for each in ("H1", "H2") if each in check.expected} == {"H1", "H2"}
         assert case_of(run, "CK_VD_REQUEST").verdict is Verdict.PASS
 
     def test_frames_of_findings_are_kept_with_their_octets_marked(self):
-        run, _ = judge_recording(CAPTURES / "c_latejoin.mcap", None, Pics())
+        run, _ = judge_versions(CAPTURES / "c_latejoin.mcap", None, Pics())[0]
         case = case_of(run, "CK_VD_TAKES_UPDATE")
         check = next(check for check in case.checks if check.verdict is Verdict.FAIL)
         kept = {event.frame: event for event in case.evidence}
@@ -825,40 +825,40 @@ class TestCaptures:
 
     def test_an_unreadable_file_is_reported(self, tmp_path: Path):
         with pytest.raises(UsageError, match="no-such"):
-            judge_recording(tmp_path / "no-such.mcap", None, Pics())
+            judge_versions(tmp_path / "no-such.mcap", None, Pics())
         text = tmp_path / "text.pcap"
         text.write_text("nothing of the kind")
         with pytest.raises(UsageError, match="text\\.pcap"):
-            judge_recording(text, "dcp-2.0", Pics())
+            judge_versions(text, "dcp-2.0", Pics())
         with pytest.raises(UsageError, match="no-profile"):
-            judge_recording(CAPTURES / "b_crud.mcap", "no-profile", Pics())
+            judge_versions(CAPTURES / "b_crud.mcap", "no-profile", Pics())
         with pytest.raises(UsageError, match="none of its 563 frames"):
-            judge_recording(CAPTURES / "b_crud.mcap", "dcp-2.0", Pics(), ether_type="0x8888")
+            judge_versions(CAPTURES / "b_crud.mcap", "dcp-2.0", Pics(), ether_type="0x8888")
         with pytest.raises(UsageError, match="is not an EtherType"):
-            judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
+            judge_versions(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
 
     def test_a_file_without_beacons_is_reported(self, tmp_path: Path):
         with pytest.raises(UsageError, match="the recording has no frames"):
-            judge_recording(recorded(tmp_path / "none.pcap", []), None, Pics())
+            judge_versions(recorded(tmp_path / "none.pcap", []), None, Pics())
         other = [b"\xff" * 12 + b"\x08\x06" + bytes(46)]
         with pytest.raises(UsageError, match="with the EtherTypes and ports of the built-in profiles; dcp-codec stats"):
-            judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics())
+            judge_versions(recorded(tmp_path / "other.pcap", other), None, Pics())
         with pytest.raises(UsageError, match="with 0x9999; dcp-codec stats"):
-            judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics(), ether_type="0x9999")
+            judge_versions(recorded(tmp_path / "other.pcap", other), None, Pics(), ether_type="0x9999")
 
     def test_an_uncertain_profile_is_reported(self, tmp_path: Path):
         frames: list[bytes] = []
         for name in ("a_bus3", "a_bus3_v1.3.6"):
             with open_capture(CAPTURES / f"{name}.mcap") as reader:
                 frames += [frame.data for _, frame in zip(range(100), reader, strict=False)]
-        run, codec = judge_recording(recorded(tmp_path / "both.pcap", frames), None, Pics())
+        run, codec = judge_versions(recorded(tmp_path / "both.pcap", frames), None, Pics())[0]
         # Half of the frames decode as either: which of the two is named first does not matter.
         found, other = codec.profile.name, {"cpp-2.0": "cpp-1.3", "cpp-1.3": "cpp-2.0"}[codec.profile.name]
         note = f"100 of 200 sampled frames decode; 100 others decode as {other}: decode each version with --profile)"
         assert [each.endswith(note) for each in run.notes if each.startswith(f"the profile was guessed: {found}")] == [
             True
         ]
-        certain, _ = judge_recording(CAPTURES / "b_crud.mcap", None, Pics())
+        certain, _ = judge_versions(CAPTURES / "b_crud.mcap", None, Pics())[0]
         assert not any("guess" in each for each in certain.notes)
 
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from dcp_conformance.check.recording import guessed_profile
 from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.replay import RecordedNodes, Replay, ReplayOptions, choose_node, decided, recorded_nodes
+from dcp_conformance.execution.replay import RecordedNodes, Replay, choose_node, decided, recorded_nodes
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult
@@ -52,7 +52,7 @@ def replayed(
     session = Session(codec, sut.lower_tester(), sut.upper_tester() if upper else None, Pics())
     runner = Runner(session, sut)
     runner.prepare()
-    replay = Replay(path, ReplayOptions(octets(node) if node else None, speed, services))
+    replay = Replay(path, octets(node) if node else None, speed=speed, services=services)
     (case,) = replay.cases()
     return decided(runner.run(case))
 
@@ -137,7 +137,7 @@ class TestWhatIsFound:
         session = Session(codec, sut.lower_tester(), sut.upper_tester(), Pics())
         runner = Runner(session, sut)
         runner.prepare()
-        result = runner.run(Replay(path, ReplayOptions(octets(NODES[2]))).cases()[0])
+        result = runner.run(Replay(path, octets(NODES[2])).cases()[0])
         assert result.verdict is Verdict.FAIL
 
     def test_a_silent_node_does_not_pass(self):
@@ -151,7 +151,7 @@ class TestWhatIsFound:
         sut = Mute(reference_config(codec, node_id=octets(NODES[2])))
         session = Session(codec, sut.lower_tester(), None, Pics())
         session.sut_id = octets(NODES[2])
-        result = Runner(session, sut).run(Replay(path, ReplayOptions()).cases()[0])
+        result = Runner(session, sut).run(Replay(path).cases()[0])
         assert result.verdict is Verdict.FAIL
 
     def test_a_recording_decides_only_requirements_that_it_exercises(self, tmp_path: Path):
@@ -201,12 +201,12 @@ class TestParts:
         path, codec = CAPTURES / "b_crud.mcap", codec_of("cpp-2.0")
         sut = InProcess(reference_config(codec, node_id=b"\x02\0\0\0\0\x77"))
         session = Session(codec, sut.lower_tester(), None, Pics())
-        result = Runner(session, sut).run(Replay(path, ReplayOptions()).cases()[0])
+        result = Runner(session, sut).run(Replay(path).cases()[0])
         assert session.sut_id == b"\x02\0\0\0\0\x77"
         assert result.verdict is Verdict.PASS, result.reason
 
     def test_the_identifier_of_another_recorded_node_is_refused(self):
-        replay = Replay(CAPTURES / "b_crud.mcap", ReplayOptions(octets(NODES[0])))
+        replay = Replay(CAPTURES / "b_crud.mcap", octets(NODES[0]))
         with pytest.raises(UsageError, match=r"has the identifier 02:00:00:00:00:02 of another recorded node"):
             replay.take_part(codec_of("cpp-2.0"), octets(NODES[1]))
 

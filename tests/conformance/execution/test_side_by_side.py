@@ -206,11 +206,21 @@ def test_no_case_sends_records_of_a_variable_of_another_live_case(monkeypatch) -
         executors[:] = [self]
         begin(self, on_result)
 
-    send = SharedLink.send
+    make = SharedLink.__init__
 
-    def noted(self: SharedLink, octets: bytes, source: bytes) -> bytes:
+    def watched(self: SharedLink, scheduler: Scheduler, task: Task) -> None:
+        make(self, scheduler, task)
+        send = self.send
+
+        def noted(octets: bytes, source: bytes) -> bytes:
+            note(self, octets, source)
+            return send(octets, source)
+
+        self.send = noted
+
+    def note(link: SharedLink, octets: bytes, source: bytes) -> None:
         live = executors[0]._live.values() if executors else ()
-        for bench in (each for each in live if each.lower is self):
+        for bench in (each for each in live if each.lower is link):
             owners = {
                 var_id: other.case.id
                 for other in live
@@ -219,10 +229,9 @@ def test_no_case_sends_records_of_a_variable_of_another_live_case(monkeypatch) -
             }
             said = ReceivedBeacon(bench.codec, 0, 0, 0, octets, source).instructions()
             sent.extend((bench.case.id, owners.get(each.var_id, ""), each.var_id) for each in said)
-        return send(self, octets, source)
 
     monkeypatch.setattr(SideBySide, "_wave", wave)
-    monkeypatch.setattr(SharedLink, "send", noted)
+    monkeypatch.setattr(SharedLink, "__init__", watched)
     run(WIDTH, "TC_BP_RX_BI_*", "TC_BP_CRX_BI_*", "TC_VD_ROB_*", "TC_VD_SEQ_*")
     assert len(sent) > 100
     assert [each for each in sent if each[1]] == []
@@ -242,6 +251,9 @@ class Link:
         return self.time
 
     wall = now
+
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        return source + octets
 
     def send(self, octets: bytes, source: bytes) -> bytes:
         self.sent.append((self.time, octets))
@@ -334,6 +346,9 @@ class GoneUpper:
 
     def poll(self) -> list:
         raise UpperTesterError("closed")
+
+    def another(self) -> None:
+        return None
 
     def filenos(self) -> tuple:
         return ()

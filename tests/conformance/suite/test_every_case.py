@@ -88,7 +88,9 @@ LONG = [base for base, ids in VARIANTS.items() if all(known_cases()[each].long f
 
 @pytest.mark.parametrize("base", [*(each for each in VARIANTS if each not in LONG), *also("suite", *LONG)])
 def test_our_node_passes_and_each_case_applies_to_some_version(base: str):
-    missing = {each for each in VARIANTS[base] if not known_cases()[each].needs.pics} - check(base, VERSIONS)
+    # 65,536 beacons take five seconds for each version; what they count is the same in all of them.
+    versions = VERSIONS[:1] if base in COUNTING else VERSIONS
+    missing = {each for each in VARIANTS[base] if not known_cases()[each].needs.pics} - check(base, versions)
     # Some cases are about the wire format of an implementation.
     assert not missing or missing <= check(base, ["cpp-2.0"])
 

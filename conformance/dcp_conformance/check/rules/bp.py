@@ -16,9 +16,8 @@ from dcp_conformance.model.broken_rules import broken_by
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
-from .counters import SequenceNumbers
+from .counters import MS, SequenceNumbers
 
-MS = 1_000_000
 BROADCAST = b"\xff" * 6
 #: Number of changes of networkId from which on they are a fault, and not the user's configuration.
 _CHANGES = 3

@@ -110,6 +110,8 @@ class _Reaction(Invariant):
     """The kinds of reaction that the rule judges."""
     by_cause: ClassVar[dict[ICType, str]] = {}
     """Kind of record -> the requirement of the reaction to it, if these differ."""
+    limited: ClassVar[bool] = False
+    """Whether a node may ignore records that exceed its limits."""
 
     def finish(self) -> None:
         """Count the reactions, and report the missing ones."""
@@ -137,12 +139,7 @@ class _Reaction(Invariant):
             f"{name(each.station.node)}, {what}: {tally.all_hits} reactions to {tally.all_trials} occasions"
             f"{self._speakers(each)}"
         )
-        rules = self.requirements
-        if self.by_cause:
-            rules = (
-                tuple(dict.fromkeys(self.by_cause.get(statement.kind, rules[0]) for statement in tally.examples))
-                or rules
-            )
+        rules = self._rules_of(tally.examples)
         limit = self._limit(each.station, tally.examples)
         if not each.certain:
             text += ", which unstable links could explain"
@@ -173,8 +170,12 @@ class _Reaction(Invariant):
             self.violated(text, causes, verdict=Verdict.INFO, expected=f"{self.expect}, within limits")
             return
         self.exercised(times=each.times)
-        rules = tuple(dict.fromkeys(self.by_cause.get(each.kind, self.requirements[0]) for each in causes))
-        self.violated(text, [reaction, *causes], *(rules if self.by_cause else self.requirements))
+        self.violated(text, [reaction, *causes], *self._rules_of(causes))
+
+    def _rules_of(self, causes: Sequence[Statement]) -> tuple[str, ...]:
+        """Return the requirements of the reactions to these records."""
+        rules = dict.fromkeys(self.by_cause.get(each.kind, self.requirements[0]) for each in causes)
+        return tuple(rules) if rules and self.by_cause else self.requirements
 
     def _speakers(self, each: Shortage) -> str:
         """Return the clause that names the speakers to whose other records the node reacts; empty if there are none."""
@@ -182,14 +183,6 @@ class _Reaction(Invariant):
             return ""
         who = ", ".join(name(node) for node in each.speakers)
         return f", while it reacts to other records of {who}"
-
-    def _limit(self, station: Station, causes: Sequence[Statement]) -> str:
-        """Return how the missed records exceed everything that the node has sent; empty if they do not.
-
-        A node may ignore records that exceed its limits.
-        """
-        del station, causes
-        return ""
 
     def _reason(self, each: Shortage) -> str:
         """Return a property that all missed records share and no processed record has; empty if there is none."""
@@ -203,13 +196,10 @@ class _Reaction(Invariant):
             )
         return ""
 
-
-class _Taking(_Reaction):
-    """Base of rules for records that may exceed a node's limits."""
-
     def _limit(self, station: Station, causes: Sequence[Statement]) -> str:
-        """Compare the missed records with the largest ones that the node has sent."""
-        for cause in causes:
+        """Return how the missed records exceed everything that the node has sent; otherwise empty."""
+        above = ""
+        for cause in causes if self.limited else ():
             above = ""
             if cause.kind is ICType.CREATE_VARIABLES:
                 spec = cause.record.spec
@@ -226,10 +216,10 @@ class _Taking(_Reaction):
                 above = f"a value of {len(value)} octets is longer than all that it has stored ({station.value})"
             if not above:
                 return ""
-        return above if causes else ""
+        return above
 
 
-class TakesCreations(_Taking):
+class TakesCreations(_Reaction):
     """A node stores a variable after receiving its create."""
 
     id = "CK_VD_TAKES_CREATE"
@@ -238,9 +228,10 @@ class TakesCreations(_Taking):
     requirements = ("VD-PC-07", "VD-PC-09", "VD-RX-04")
     expect = "the variable in creates, summaries or updates of a node that hears its create"
     kinds = (Kind.TAKE_CREATE,)
+    limited = True
 
 
-class TakesUpdates(_Taking):
+class TakesUpdates(_Reaction):
     """A node stores the value of a newer update."""
 
     id = "CK_VD_TAKES_UPDATE"
@@ -249,6 +240,7 @@ class TakesUpdates(_Taking):
     requirements = ("VD-PU-07", "VD-RX-04")
     expect = "the newer number in the summaries and updates of a node that hears the update"
     kinds = (Kind.TAKE_UPDATE,)
+    limited = True
 
 
 class TakesDeletions(_Reaction):

@@ -35,6 +35,8 @@ _ROOM = 180
 #: A protocol of a node has fallen silent if at least ``_SPOKE`` beacons, and the share ``_MOSTLY`` of all beacons up to
 #: its last payload, had a payload of it, and the last ``_SILENT`` beacons had none.
 _SPOKE, _SILENT, _MOSTLY = 20, 30, 0.9
+#: Protocol -> the requirement that it sends payloads.
+_PROTOCOLS = {"VarDis": "VD-RUN-02", "SRP": "SRP-SRV-04"}
 #: Requests for one variable are endless from this number on; they count as unanswered with fewer than ``_ANSWERED``
 #: answers.
 _OFTEN, _ANSWERED = 10, 3
@@ -179,23 +181,15 @@ class Agreement(Invariant):
 
 
 @dataclass(slots=True)
-class _PayloadTimes:
-    """How long a node has sent payloads of each protocol."""
+class _Payloads:
+    """The beacons of a node with payloads of one protocol."""
 
-    beacons: int = 0
-    """Number of its beacons."""
-    vardis: int = 0
-    """Number of its beacons with VarDis records."""
-    until_vardis: int = 0
-    """Number of its beacons up to the last one with VarDis records."""
-    last_vardis: int = 0
-    """Frame number of the last one with VarDis records."""
-    srp: int = 0
-    """Number of its beacons with a state report."""
-    until_srp: int = 0
-    """Number of its beacons up to the last one with a state report."""
-    last_srp: int = 0
-    """Frame number of the last one with a state report."""
+    count: int = 0
+    """Number of these beacons."""
+    until: int = 0
+    """Number of all beacons of the node up to the last one of these."""
+    last: int = 0
+    """Frame number of the last one of these."""
 
 
 class FallsSilent(Invariant):
@@ -209,44 +203,38 @@ class FallsSilent(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._voices: dict[bytes, _PayloadTimes] = {}
+        self._beacons: dict[bytes, int] = {}
+        """Node -> number of its beacons."""
+        self._payloads: dict[bytes, dict[str, _Payloads]] = {}
+        """Node -> its beacons with payloads of each protocol."""
 
     def feed(self, seen: Seen) -> None:
         """Count beacons with and without payloads of each protocol."""
         if not seen.sound:
             return
-        voice = self._voices.get(seen.sender)
-        if voice is None:
-            if len(self._voices) >= MOST_SENDERS:
+        payloads = self._payloads.get(seen.sender)
+        if payloads is None:
+            if len(self._payloads) >= MOST_SENDERS:
                 return
-            voice = self._voices[seen.sender] = _PayloadTimes()
-        voice.beacons += 1
-        if seen.parts:
-            voice.vardis += 1
-            voice.last_vardis, voice.until_vardis = seen.number, voice.beacons
-        if seen.heard.report is not None:
-            voice.srp += 1
-            voice.last_srp, voice.until_srp = seen.number, voice.beacons
+            payloads = self._payloads[seen.sender] = {protocol: _Payloads() for protocol in _PROTOCOLS}
+        beacons = self._beacons[seen.sender] = self._beacons.get(seen.sender, 0) + 1
+        for protocol, there in (("VarDis", bool(seen.parts)), ("SRP", seen.heard.report is not None)):
+            if there:
+                sent = payloads[protocol]
+                sent.count += 1
+                sent.last, sent.until = seen.number, beacons
 
     def finish(self) -> None:
         """Report protocols that are silent up to the end: an application may have deactivated them."""
-        for node, voice in self._voices.items():
-            of_all = voice.beacons
-            self._judge(node, "VarDis", "VD-RUN-02", voice.vardis, voice.until_vardis, of_all, voice.last_vardis)
-            self._judge(node, "SRP", "SRP-SRV-04", voice.srp, voice.until_srp, of_all, voice.last_srp)
-
-    def _judge(self, node: bytes, protocol: str, rule: str, spoke: int, until: int, beacons: int, last: int) -> None:
-        """Judge one protocol of a node.
-
-        ``spoke``: number of its beacons with a payload. ``until``: number of its beacons up to the last payload, in
-        frame ``last``. ``beacons``: number of all its beacons.
-        """
-        if spoke < _SPOKE:
-            return
-        self.exercised(rule)
-        if beacons - until >= _SILENT and spoke >= _MOSTLY * until:
-            text = f"{name(node)}: no {protocol} payload in its last {beacons - until} beacons, after frame {last}"
-            self.violated(text, [], rule, expected="a protocol that falls silent", verdict=Verdict.INFO)
+        for node, payloads in self._payloads.items():
+            for protocol, sent in payloads.items():
+                if sent.count < _SPOKE:
+                    continue
+                rule, silent = _PROTOCOLS[protocol], self._beacons[node] - sent.until
+                self.exercised(rule)
+                if silent >= _SILENT and sent.count >= _MOSTLY * sent.until:
+                    text = f"{name(node)}: no {protocol} payload in its last {silent} beacons, after frame {sent.last}"
+                    self.violated(text, [], rule, expected="a protocol that falls silent", verdict=Verdict.INFO)
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.analysis.entry import Creation
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, Trace, name
+from dcp_conformance.check.senders import GAP_SHOWS
 from dcp_conformance.check.statements import (
     ASK_CREATE,
     ASK_UPDATE,
@@ -26,13 +27,11 @@ from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
 
+from .counters import MS
 from .dialogue import Counter
 
-MS = 1_000_000
 #: Maximum time from the composition of a payload to its beacon, in beacon periods.
 _COMPOSED = 1.6
-#: Time in ns after which a gap in the recording must have shown.
-_GAP_SHOWS = 2_000 * MS
 #: Number of beacons that are kept as possible reasons for repetitions: about ten seconds of thirty nodes.
 _FRAMES = 4_000
 #: Requirements of updates after requests with the same number, and of all other repetitions.
@@ -119,7 +118,7 @@ class Repetitions(Invariant):
     def feed(self, seen: Seen) -> None:
         """Count the beacons with each instruction; requests and older numbers from other nodes allow more of them."""
         node, now = seen.sender, seen.time
-        if self._closed and self._closed[0][0] + _GAP_SHOWS < now:
+        if self._closed and self._closed[0][0] + GAP_SHOWS < now:
             self._count(now)
         if not seen.parts:
             return
@@ -237,7 +236,7 @@ class Repetitions(Invariant):
 
     def _count(self, now: int) -> None:
         """Count the ended runs that are old enough to exclude missing beacons; ``now`` in ns since 1970."""
-        while self._closed and self._closed[0][0] + _GAP_SHOWS < now:
+        while self._closed and self._closed[0][0] + GAP_SHOWS < now:
             _, (node, var_id, kind), run = self._closed.popleft()
             if not self.context.senders.complete(run.begin - self._composed, run.last.time):
                 continue

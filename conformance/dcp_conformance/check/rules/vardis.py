@@ -4,27 +4,12 @@ from __future__ import annotations
 
 import itertools
 
-from dcp_spec.constants import ICType
-
-from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
-from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
 #: Maximum number of container sequences that are remembered as valid.
 _SEQUENCES = 1024
-#: Records that state the number of a variable that their sender holds.
-SENT = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
-
-
-def seqno_of(instruction: Instruction | Statement) -> int:
-    """Return the sequence number in a create, update, summary or request for an update."""
-    if isinstance(instruction, Statement):
-        return instruction.number
-    record = instruction.record
-    number: int = record.upd.seqno if isinstance(record, VarCreate) else record.seqno
-    return number
 
 
 class ContainerOrder(Invariant):

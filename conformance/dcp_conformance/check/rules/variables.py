@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from dcp_codec.values import VarCreate, VarUpdate, own_values
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
+from dcp_conformance.check.senders import GAP_SHOWS
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, latest
 from dcp_conformance.check.wording import differences, spec_text
 from dcp_conformance.model.circular import Circle
@@ -19,8 +20,6 @@ from dcp_conformance.model.circular import Circle
 _VALUES = 64
 #: Beacons to wait before a suspicion is reported: many creates may be waiting, and these are sent first.
 _PATIENCE = 10
-#: Time in ns after which a gap in the recording must have shown.
-_GAP_SHOWS = 2_000_000_000
 #: Maximum number of open suspicions.
 _SUSPECTS = 4096
 #: A time after the end of any recording, in ns since 1970.
@@ -66,7 +65,7 @@ class _OfOneNode(Invariant):
             elif sender.beacons >= suspect.beacons + _PATIENCE:
                 del self._suspects[key]
                 self.violated(suspect.text, [suspect.before, suspect.after], once=key)
-            elif suspect.after.time + _PATIENCE * _GAP_SHOWS < now:
+            elif suspect.after.time + _PATIENCE * GAP_SHOWS < now:
                 # The node has fallen silent and can no longer explain it.
                 del self._suspects[key]
             else:
@@ -186,7 +185,7 @@ class _OfAllNodes(Invariant):
 
     def due(self, now: int) -> None:
         """Report the contradictions that are old enough to exclude a gap; ``now`` in ns since 1970."""
-        while self._open and self._open[0].after.time + _GAP_SHOWS < now:
+        while self._open and self._open[0].after.time + GAP_SHOWS < now:
             each = self._open.popleft()
             if self.context.senders.complete(each.begin, each.after.time):
                 self.violated(each.text, [each.before, each.after], once=each.key)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from dcp_conformance.execution.body import delete_variables, recorded, run_body
 from dcp_conformance.execution.case_results import result_of
-from dcp_conformance.execution.runner import SLOW_DEATH, Runner
+from dcp_conformance.execution.runner import SLOW_DEATH, Done, Runner
 from dcp_conformance.execution.survival.attribution import Trial
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.interconnection.findings import stands
@@ -101,15 +101,6 @@ def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[
         executor.run_again(on_result)
 
 
-class _Pass(NamedTuple):
-    """A pass that has not been reported yet."""
-
-    trial: Trial
-    result: CaseResult
-    ended: int
-    """Time of the lower tester's clock, ns."""
-
-
 class SideBySide:
     """Executes cases side by side against the implementation of a runner.
 
@@ -158,8 +149,8 @@ class SideBySide:
         """Whether a case of this wave has found all identifiers used up."""
         self._doubts = 0
         """Number of successive cases without a pass."""
-        self._passed: list[_Pass] = []
-        """The passes of the last seconds: their cases may still cause a death."""
+        self._passed: list[Done] = []
+        """The passes of the last seconds, not reported yet: their cases may still cause a death."""
         self._last = self._last_wall = 0
         """Time in ns of the last frame of the implementation, on the clock of the link and since 1970."""
         self._observer = Bench(self._session, sanity)
@@ -432,7 +423,7 @@ class SideBySide:
         # No repetition can decide an inconclusive case that stands.
         if passed or (final and stands(session, case, trial.checks)):
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
-            self._passed.append(_Pass(trial, result, session.lower.now()))
+            self._passed.append(Done(trial, result, session.lower.now()))
             return
         self.reasons[case.id] = _reason(trial)
         if trial.upper_tester_error:
@@ -474,6 +465,4 @@ class SideBySide:
 
 def _reason(trial: Trial) -> str:
     decisive = next((check for check in trial.checks if check.verdict is trial.verdict), None)
-    if decisive is None:
-        return f"{trial.verdict} side by side"
-    return f"{trial.verdict} side by side: {decisive.expected}: {decisive.observed}"
+    return f"{trial.verdict} side by side" + (f": {decisive.text}" if decisive is not None else "")

@@ -23,36 +23,15 @@ class SharedLink:
 
     def __init__(self, scheduler: Scheduler, task: Task) -> None:
         self._scheduler, self._task = scheduler, task
-        self._lower = scheduler.lower
-        self.name = self._lower.name
-
-    def now(self) -> int:
-        """Return the monotonic time in ns."""
-        return self._lower.now()
-
-    def wall(self) -> int:
-        """Return the wall-clock time in ns since 1970."""
-        return self._lower.wall()
-
-    def framed(self, octets: bytes, source: bytes) -> bytes:
-        """Return the whole frame of a bearer payload."""
-        return self._lower.framed(octets, source)
-
-    def send(self, octets: bytes, source: bytes) -> bytes:
-        """Send a bearer payload; return its frame. Raise ``LowerTesterError``."""
-        return self._lower.send(octets, source)
-
-    def send_frame(self, frame: bytes) -> None:
-        """Send a whole frame. Raise ``LowerTesterError``."""
-        self._lower.send_frame(frame)
+        # Only receptions and losses are those of the task.
+        lower = scheduler.lower
+        self.name, self.now, self.wall = lower.name, lower.now, lower.wall
+        self.framed, self.send = lower.framed, lower.send
+        self.send_frame, self.take_in = lower.send_frame, lower.take_in
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:  # noqa: ARG002 - the scheduler knows them
         """Return the next frame before ``until`` (ns); None at that time, or if notifications arrive."""
         return self._scheduler.receive(self._task, until)
-
-    def take_in(self) -> None:
-        """Read received frames, so that the kernel has room for more. Raise ``LowerTesterError``."""
-        self._lower.take_in()
 
     def health(self) -> LinkHealth:
         """Return the losses since the last call."""
@@ -70,8 +49,8 @@ class SharedUpper:
     """
 
     def __init__(self, scheduler: Scheduler, task: Task, upper: UpperTester) -> None:
-        self._scheduler, self._task, self._upper = scheduler, task, upper
-        self.name = upper.name
+        self._scheduler, self._task = scheduler, task
+        self.name, self.another = upper.name, upper.another
         self.about = upper.about
         self.methods = frozenset(upper.methods - ALONE)
 
@@ -94,10 +73,6 @@ class SharedUpper:
     def filenos(self) -> tuple[int, ...]:
         """Return no descriptors, because the scheduler watches them."""
         return ()
-
-    def another(self) -> UpperTester | None:
-        """Return a second connection; None if the upper tester allows only one."""
-        return self._upper.another()
 
     def close(self) -> None:
         """Do nothing: the session closes the connection."""

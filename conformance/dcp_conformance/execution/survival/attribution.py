@@ -215,12 +215,7 @@ def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple
 
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
     """Return the checks of a trial; failures for lack of a reaction become inconclusive for the reason ``why``."""
-    return tuple(
-        msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
-        if check.verdict is Verdict.FAIL and not check.shown
-        else check
-        for check in trial.checks
-    )
+    return tuple(check if check.shown else check.excused(why) for check in trial.checks)
 
 
 def _unconfirmed(trial: Trial, why: str, recent: Sequence[Case]) -> Attribution:

@@ -20,7 +20,7 @@ from dcp_conformance.test_system.bench import Bench, Session
 from dcp_codec.errors import DecodeError
 from dcp_lab.fuzz.steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait
 
-from .liveness import PROBES, bad_beacon, begun_again, dead, last_number, lifelessness
+from .liveness import bad_beacon, begun_again, dead, last_number, lifelessness
 
 #: Default number of frames a second: more than the nodes of a dense network send, and too few for a link to drop any.
 RATE: Final = 500.0
@@ -60,20 +60,13 @@ class NotAliveError(ConformanceError):
 class LiveTarget:
     """Executes steps on an implementation that was opened with ``open_target``."""
 
-    def __init__(
-        self,
-        opened: Opened,
-        *,
-        rate: float = RATE,
-        probes: int = PROBES,
-    ) -> None:
-        """``rate``: frames a second. ``probes``: markers to check life."""
+    def __init__(self, opened: Opened, *, rate: float = RATE) -> None:
+        """``rate``: frames a second."""
         self._runner = opened.runner
         self.session: Session = opened.runner.session
         self.control: SutControl | None = opened.runner.control
         self.name = opened.runner.about().name or self.session.lower.name
         self._interval = round(1_000_000_000 / rate)
-        self._probes = probes
         self._checked = False
         self._was_well = False
         self._number: int | None = None
@@ -87,7 +80,7 @@ class LiveTarget:
         """See :class:`~dcp_lab.fuzz.steps.Target`. Raises :class:`NotAliveError`, ``LowerTesterError``."""
         bench = self.prepare()
         self.session.lower.health()
-        effect = carry_out(bench, steps, self.control, self._interval, self._probes)
+        effect = carry_out(bench, steps, self.control, self._interval)
         # The bench has the sequence numbers of this test only; compare them with the last one before it, too.
         effect = effect or begun_again(bench, self._number)
         number = last_number(bench)
@@ -215,19 +208,13 @@ class LiveTarget:
             patience = _FIRST if can_restart and not self._was_well else 0
         deadline = bench.now() + round(patience * 1e9)
         while True:
-            why = lifelessness(bench, self.control, self._probes)
+            why = lifelessness(bench, self.control)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
                 return why
             bench.receiver.take_newcomer()
 
 
-def carry_out(
-    bench: Bench,
-    steps: list[Step],
-    control: SutControl | None,
-    interval: int,
-    probes: int = PROBES,
-) -> Effect | None:
+def carry_out(bench: Bench, steps: list[Step], control: SutControl | None, interval: int) -> Effect | None:
     """Execute steps on the implementation of a bench, ``interval`` ns between frames, then check that it is alive.
 
     Returns the first effect, or None. Raises ``LowerTesterError`` if the link cannot be used.
@@ -241,7 +228,7 @@ def carry_out(
             _step(bench, step, pace)
             if (effect := dead(control, at)) is not None:
                 return effect
-        why = lifelessness(bench, control, probes) or begun_again(bench)
+        why = lifelessness(bench, control) or begun_again(bench)
     except UpperTesterError as error:
         return _without_upper_tester(control, at, error)
     if why is not None:

@@ -35,12 +35,12 @@ def bad_beacon(codec: Codec, octets: bytes, problem: Problem, step: int) -> Effe
     return Effect("bad-beacon", f"an invalid beacon: {problem}", step, " ".join((problem.reason, *rules)))
 
 
-def lifelessness(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:
+def lifelessness(bench: Bench, control: SutControl | None) -> Effect | None:
     """Return the effect if an implementation is dead or mute; None if it is alive and answers."""
     if (gone := dead(control)) is not None:
         return gone
     begun = bench.mark()
-    for _ in range(probes):
+    for _ in range(PROBES):
         if _answers(bench):
             return None
         if (gone := dead(control)) is not None:
@@ -51,7 +51,7 @@ def lifelessness(bench: Bench, control: SutControl | None, probes: int = PROBES)
     if any(len(heard.octets) > most // 2 for heard in bench.heard[begun:]) and _answers(bench, _LONG):
         return None
     came = f"{beacons} beacons came" if beacons else "no beacon came"
-    detail = f"none of {probes} markers was answered; {came}{_upper_tester(bench)}"
+    detail = f"none of {PROBES} markers was answered; {came}{_upper_tester(bench)}"
     # Without payloads no beacons are sent, so missing beacons alone are not an effect.
     return Effect("mute", detail, 0, "mute")
 

@@ -14,7 +14,7 @@ from dcp_conformance.stateful.judged import judge
 from dcp_conformance.test_system.bench import Bench
 
 from dcp_lab.fuzz.execute.live import RATE, carry_out
-from dcp_lab.fuzz.execute.liveness import PROBES, lifelessness
+from dcp_lab.fuzz.execute.liveness import lifelessness
 from dcp_lab.fuzz.reduce.causes import decided_by
 from dcp_lab.fuzz.steps import ROBUSTNESS, STOPPED
 
@@ -64,7 +64,7 @@ def run(artefact: Artefact, bench: Bench) -> None:
         return
     if (why := lifelessness(bench, None)) is not None:
         bench.inconclusive("a healthy implementation before anything is sent", why.detail)
-    effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES)
+    effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE))
     if effect is None:
         bench.passed("nothing is wrong after these steps", *artefact.effect.requirements)
         return
