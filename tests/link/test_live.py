@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from dcp_codec.capture import Frame
+from dcp_codec.common.extras import advice
 
 from ..waiting import PATIENCE, eventually
 
@@ -344,7 +345,7 @@ def test_no_privilege(namespace: Any) -> None:
 
 def test_no_scapy(namespace: Any) -> None:
     message = failure(namespace, "near", "import sys; sys.modules['scapy'] = None\n")
-    assert message == "near: scapy is not installed: pip install 'dcp-conformance-kit[scapy]'"
+    assert message == f"near: {advice('scapy')}"
 
 
 def test_frames_that_are_not_ethernet(namespace: Any) -> None:
