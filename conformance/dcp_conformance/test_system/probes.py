@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Final, NoReturn
 
 from dcp_spec.constants import ICType
@@ -27,22 +28,15 @@ from .sut_properties import SutProperties
 _NAMES: Final = 8
 
 
+@dataclass(eq=False)
 class Probes:
     """Asks VarDis for a sign of life."""
 
-    def __init__(
-        self,
-        run: RunFindings,
-        peers: Peers,
-        identifiers: Identifiers,
-        waiting: Waiting,
-        verdicts: Verdicts,
-    ) -> None:
-        self._run = run
-        self._peers = peers
-        self._identifiers = identifiers
-        self._waiting = waiting
-        self._verdicts = verdicts
+    _run: RunFindings
+    _peers: Peers
+    _identifiers: Identifiers
+    _waiting: Waiting
+    _verdicts: Verdicts
 
     def probe(self, periods: float | None = None) -> bool:
         """Send a stimulus that VarDis must answer, and return whether it does.
@@ -103,24 +97,16 @@ class Probes:
         Matchers(self._verdicts).required(alive, what, *requirements, seen="no answer to two probes")
 
 
+@dataclass(eq=False)
 class Teaching:
     """Teaches the implementation variables that a case needs."""
 
-    def __init__(
-        self,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-        receiver: Receiver,
-        waiting: Waiting,
-        verdicts: Verdicts,
-    ) -> None:
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self._receiver = receiver
-        self._waiting = waiting
-        self._verdicts = verdicts
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _receiver: Receiver
+    _waiting: Waiting
+    _verdicts: Verdicts
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
         """Teach the implementation variables, and wait for the last repetition of their VarCreates.

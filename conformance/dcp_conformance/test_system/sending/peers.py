@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Unpack
 
 from dcp_spec.constants import IC_MAX_RECORDS
@@ -129,24 +130,17 @@ class Peer:
         return self._records.create(var_id, self.node_id if producer is None else producer, **fields)
 
 
+@dataclass(eq=False)
 class Peers:
     """The peers of one case."""
 
-    def __init__(
-        self,
-        transmission: Transmission,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-        identifiers: Identifiers,
-    ) -> None:
-        self._transmission = transmission
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self._identifiers = identifiers
-        self.made: list[Peer] = []
-        """The peers so far."""
+    _transmission: Transmission
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _identifiers: Identifiers
+    made: list[Peer] = field(default_factory=list, init=False)
+    """The peers so far."""
 
     def new(self) -> Peer:
         """Return a virtual node that has not sent anything before. Raises ``NamesUsedUp``."""
