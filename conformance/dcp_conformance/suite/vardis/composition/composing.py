@@ -48,17 +48,8 @@ def creates_counted(bench: Bench) -> None:
     stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
     expect="each VarUpdate in exactly repCnt beacons",
     window=12,
+    value=_UPDATE,
 )
-def updates_counted(bench: Bench) -> None:
-    peer = bench.peer()
-    creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
-    bench.learn(peer, *creates)
-    mark = bench.mark()
-    peer.send(*(peer.update(each.spec.var_id, 1) for each in creates))
-    for each in creates:
-        bench.check_repeated(_UPDATE, each.spec.var_id, each.spec.rep_cnt, mark)
-
-
 @case(
     "TC_VD_CMP_BV_03",
     "Each VarDelete is repeated according to the repCnt of its own variable",
@@ -66,15 +57,17 @@ def updates_counted(bench: Bench) -> None:
     stimulus="one beacon deletes three variables with repCnt 1, 2 and 4",
     expect="each VarDelete in exactly repCnt beacons",
     window=12,
+    value=_DELETE,
 )
-def deletes_counted(bench: Bench) -> None:
+def changes_counted(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
     bench.learn(peer, *creates)
     mark = bench.mark()
-    peer.send(*(peer.delete(each.spec.var_id) for each in creates))
+    names = [each.spec.var_id for each in creates]
+    peer.send(*(peer.update(each, 1) if kind is _UPDATE else peer.delete(each) for each in names))
     for each in creates:
-        bench.check_repeated(_DELETE, each.spec.var_id, each.spec.rep_cnt, mark)
+        bench.check_repeated(kind, each.spec.var_id, each.spec.rep_cnt, mark)
 
 
 @case(

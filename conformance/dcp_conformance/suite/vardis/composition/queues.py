@@ -110,10 +110,6 @@ def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
     needs=_SETTABLE,
     variants=_variants("new-variables", "deletes", "requests"),
 )
-def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
-    _check_queue(bench, what)
-
-
 @case(
     "TC_VD_ORD_BV_03",
     "As TC_VD_ORD_BV_01 for records of known variables ({variant})",
@@ -125,11 +121,7 @@ def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     variants=_variants("creates", "updates", "update-requests"),
     long=True,
 )
-def order_of_answers(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
-    _check_queue(bench, what)
-
-
-def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     kind, stimulus, _ = what
     once, new = kind in (_ASK_CREATE, _ASK_UPDATE), what is _STIMULI["new-variables"]
     peer, count = bench.peer(), 1 if once else bench.sut.rep_cnt(2)

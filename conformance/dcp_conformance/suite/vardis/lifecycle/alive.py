@@ -38,10 +38,6 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))
 _MANAGE = ("VD-MGMT-Activate", "VD-MGMT-Deactivate")
 
 
-def _same(peer: Peer, record: VarCreate) -> VarCreate:  # noqa: ARG001 - as the other
-    return record
-
-
 def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     spec = record.spec
     assert spec.creation_time is not None
@@ -56,7 +52,7 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
-    variants={"the-same-VarCreate": _same, "an-earlier-VarCreate": _earlier},
+    variants={"the-same-VarCreate": lambda _, record: record, "an-earlier-VarCreate": _earlier},
 )
 def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreate]) -> None:
     shorten_scrubbing(bench)
@@ -77,14 +73,6 @@ def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreat
     check_time(bench, found[0], since, timeout_ms)
 
 
-def _by_peer(bench: Bench, peer: Peer, name: int, timeout_ms: int) -> Change:
-    return learn(bench, peer, name, timeout_ms)
-
-
-def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Change:
-    return create_own(bench, name, timeout_ms)
-
-
 @case(
     "TC_VD_SCR_TI_14",
     "A renewed creation of a variable restarts its timeout ({variant})",
@@ -97,23 +85,22 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
     window=60,
     needs=_WIRE,
     variants={
-        "received": Variant(_by_peer, requirements="VD-SCR-03 VD-SCR-01 VD-PC-07"),
-        "own": Variant(_by_application, requirements="VD-SCR-03 VD-SCR-01 VD-CRE-10", needs=_OWN),
+        "received": Variant(False, requirements="VD-SCR-03 VD-SCR-01 VD-PC-07"),
+        "own": Variant(True, requirements="VD-SCR-03 VD-SCR-01 VD-CRE-10", needs=_OWN),
     },
 )
-def restarted_timeout(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
+def restarted_timeout(bench: Bench, own: bool) -> None:
     shorten_scrubbing(bench)
-    own = create is _by_application
     peer, name = bench.peer(), bench.identifiers.own_var_id() if own else bench.var_id()
     timeout_ms = max(lasting(bench, 900, 8), round(4 * bench.session.slow_call / MS))
-    first = create(bench, peer, name, timeout_ms)
+    first = create_own(bench, name, timeout_ms) if own else learn(bench, peer, name, timeout_ms)
     bench.waiting.wait_ns(max(0, first.before + timeout_ms * MS * 2 // 3 - bench.now()))
     if own:
         before = bench.now()
         created_again(bench, name, timeout=timeout_ms)
         since = Change(before, bench.now())
     else:
-        since = create(bench, peer, name, timeout_ms)
+        since = learn(bench, peer, name, timeout_ms)
     if since.after - first.before >= timeout_ms * MS:
         bench.inconclusive("a second creation within the timeout", "it took longer")
     found = deleted(bench, name, since, timeout_ms)

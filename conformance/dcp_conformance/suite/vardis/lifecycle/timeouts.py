@@ -136,22 +136,6 @@ def _check_in_time(bench: Bench, slowest: int, timeout_ms: int, early: Sequence[
         bench.inconclusive("updates within the timeout", f"{slowest / MS:.0f} ms between two of them")
 
 
-def _equal(peer: Peer, name: int) -> None:
-    peer.send(peer.update(name, 5, b"another"))
-
-
-def _older(peer: Peer, name: int) -> None:
-    peer.send(peer.update(name, 4, b"older"))
-
-
-def _summary(peer: Peer, name: int) -> None:
-    peer.send(peer.summary(name, 5))
-
-
-def _request(peer: Peer, name: int) -> None:
-    peer.send(peer.request_create(name), peer.request_update(name, 3))
-
-
 @case(
     "TC_VD_SCR_TI_06",
     "A record that changes nothing does not extend the life of a variable ({variant})",
@@ -160,9 +144,14 @@ def _request(peer: Peer, name: int) -> None:
     expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
-    variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
+    variants={
+        "equal-update": lambda peer, name: peer.send(peer.update(name, 5, b"another")),
+        "older-update": lambda peer, name: peer.send(peer.update(name, 4, b"older")),
+        "summary": lambda peer, name: peer.send(peer.summary(name, 5)),
+        "request": lambda peer, name: peer.send(peer.request_create(name), peer.request_update(name, 3)),
+    },
 )
-def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
+def not_kept(bench: Bench, act: Callable[[Peer, int], object]) -> None:
     shorten_scrubbing(bench)
     peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
     creates = (peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))

@@ -90,7 +90,33 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     return creates, since
 
 
-def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+@case(
+    "TC_VD_SEQ_BV_01",
+    "The sequence number of a VarUpdate is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-PU-07",
+    stimulus="VarUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect=(
+        "a newer one is stored and forwarded; an older one is answered with the stored value; an equal one is ignored"
+    ),
+    variants=_variants(UPDATE),
+)
+@case(
+    "TC_VD_SEQ_BV_02",
+    "The sequence number of a summary is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-PS-04",
+    stimulus="summaries with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="a newer one causes a request; an older one is answered with the stored value; an equal one is ignored",
+    variants=_variants(SUMMARY),
+)
+@case(
+    "TC_VD_SEQ_BV_03",
+    "The sequence number of a VarReqUpdate is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-RU-04",
+    stimulus="VarReqUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="an older one is answered with the stored value; the others are ignored",
+    variants=_variants(REQUEST),
+)
+def compared(bench: Bench, what: tuple[Question, Distance, int]) -> None:
     question, distance, which = what
     creates, since = _ask(bench, question, distance)
     kind, step = question.answers[which], _steps(bench, distance)
@@ -114,44 +140,6 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
         number = stepped(bench, stored, step) if which == 0 and question.newer_is_stored else stored
         numbers = [each.record.seqno for each in found if each.kind is kind]
         bench.in_order(numbers, [number], f"{name}: one {kind.label} record with {number}", frames=found)
-
-
-@case(
-    "TC_VD_SEQ_BV_01",
-    "The sequence number of a VarUpdate is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-PU-07",
-    stimulus="VarUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect=(
-        "a newer one is stored and forwarded; an older one is answered with the stored value; an equal one is ignored"
-    ),
-    variants=_variants(UPDATE),
-)
-def updates(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
-
-
-@case(
-    "TC_VD_SEQ_BV_02",
-    "The sequence number of a summary is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-PS-04",
-    stimulus="summaries with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect="a newer one causes a request; an older one is answered with the stored value; an equal one is ignored",
-    variants=_variants(SUMMARY),
-)
-def summaries(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
-
-
-@case(
-    "TC_VD_SEQ_BV_03",
-    "The sequence number of a VarReqUpdate is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-RU-04",
-    stimulus="VarReqUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect="an older one is answered with the stored value; the others are ignored",
-    variants=_variants(REQUEST),
-)
-def requests(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
 
 
 @case(
