@@ -365,8 +365,8 @@ def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
     Yields the clients. Without an upper tester there is only the variable.
     """
     with contextlib.ExitStack() as stack:
-        upper, made = bench.session.upper, []
-        if upper is not None and set(CLIENT) <= upper.methods:
+        made = []
+        if bench.services.offers(*CLIENT):
             for number in range(clients):
                 client = stack.enter_context(BPClient(bench, REPEAT))
                 client.transmit(client.payload(9 + 7 * number))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import MS, Bench
@@ -40,8 +41,8 @@ def shorten_scrubbing(bench: Bench) -> int:
 
     The current period may still run to its end, so deadlines depend on the initial one.
     """
-    upper, period = bench.session.upper, scrubbing_period_ms(bench)
-    if period > SHORT and upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods:
+    period = scrubbing_period_ms(bench)
+    if period > SHORT and bench.services.offers("UT-Reset", "VD-SetParameter"):
         answer = bench.call("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=SHORT)
         if answer.ok:
             return SHORT
@@ -63,6 +64,22 @@ def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruct
     if found is None:
         bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     return found
+
+
+def deleted_by_consumer(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction:
+    """As :func:`deleted`; without a VarDelete report the reading by which only producers scrub, and stop the case."""
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        not_by_consumers(bench, name)
+        raise StopCase
+    return found
+
+
+def deleted_by_producer(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction:
+    """As :func:`deleted`, for a variable of the implementation's own; fails and stops the case without a VarDelete."""
+    found = deleted(bench, name, since, timeout_ms)
+    seen = f"none in {latest(bench, timeout_ms) / MS:.0f} ms"
+    return bench.required(found, "a VarDelete of the node's own variable", seen=seen)
 
 
 def check_time(

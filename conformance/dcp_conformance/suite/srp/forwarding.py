@@ -27,8 +27,7 @@ _ROUNDS = 6
     needs=Needs(entities=("srp",)),
 )
 def never_forwarded(bench: Bench) -> None:
-    upper = bench.session.upper
-    hands_down = upper is not None and "SRP-UpdateSafetyData" in upper.methods
+    hands_down = bench.services.offers("SRP-UpdateSafetyData")
     mark, foreign = bench.mark(), []
     with talking(bench, clients=0):
         for number in range(_ROUNDS):

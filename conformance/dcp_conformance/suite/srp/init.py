@@ -141,15 +141,14 @@ def fresh_start(bench: Bench) -> None:
 
 def no_way_back(bench: Bench) -> str | None:
     """Return why a deregistered protocol could not be registered again, or None; for ``Needs.when``."""
-    upper = bench.session.upper
-    if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
+    if bench.session.can_restart or bench.services.offers("UT-Reset"):
         return None
     return "there is neither UT-Reset nor a command to restart the implementation (--restart)"
 
 
 def bring_back(bench: Bench) -> None:
     """Register the protocol that the case has deregistered again, by a reset or restart."""
-    if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
+    if bench.services.offers("UT-Reset"):
         bench.call("UT-Reset")
     else:
         bench.control.restart()

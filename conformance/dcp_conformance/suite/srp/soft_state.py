@@ -64,7 +64,7 @@ def _present(bench: Bench, node_ids: set[bytes]) -> None:
 @contextmanager
 def brief_timeout(bench: Bench) -> Iterator[int]:
     """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
-    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
+    settable = bench.services.offers("SRP-SetParameter")
     length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(TIMEOUT)
     with parameters_set(bench, "SRP", **({TIMEOUT: length} if settable else {})):
         yield length

@@ -66,6 +66,10 @@ class Services:
             raise UpperTesterError("this case needs an upper tester, but none is configured")
         return self._run.upper
 
+    def offers(self, *methods: str) -> bool:
+        """Return whether there is an upper tester that offers these methods."""
+        return self._run.upper is not None and self._run.upper.methods >= set(methods)
+
     def call(self, method: str, /, **params: Any) -> Answer:
         """Call a service of the implementation; the answer may be an error."""
         return self.call_on(self.upper, method, **params)

@@ -222,9 +222,7 @@ def several_blocks(bench: Bench, count: int) -> None:
     variants={"srp-vardis": True, "vardis-srp": False},
 )
 def two_protocols(bench: Bench, report_first: bool) -> None:
-    upper = bench.session.upper
-    asks = upper is not None and "SRP-NeighbourTable" in upper.methods
-    control = bench.peer()
+    asks, control = bench.services.offers("SRP-NeighbourTable"), bench.peer()
     if asks:
         control.send(bench.records.report(control.node_id, 1))
     # If an SRP record alone in a beacon is not stored either, the fault is not one of BP.

@@ -193,7 +193,7 @@ def other_period(bench: Bench, factor: float) -> None:
         wanted = round(bench.sut.parameter(PERIOD) * factor)
         with parameters_set(bench, "BP", **{PERIOD: wanted}):
             value: float = wanted
-            if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
+            if bench.services.offers("BP-GetParameters"):
                 # The resolution of times is up to the implementation.
                 observed = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
                 if isinstance(observed, int | float) and abs(observed - value) < abs(value - value / factor) / 2:

@@ -255,8 +255,7 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     record = event(peer, var_id, lambda distance: stepped(bench, stored, distance))
     peer.send(record)
     bench.require_alive(type(record).__name__)
-    upper = bench.session.upper
-    entry = entry_of(bench, var_id) if upper is not None and "RTDB-DescribeVariable" in upper.methods else None
+    entry = entry_of(bench, var_id) if bench.services.offers("RTDB-DescribeVariable") else None
     if entry is not None:
         bench.answered(entry.get("seqno"), stored, "seqno")
     deletions = bench.check_repeated(_DELETE, var_id, count, since)

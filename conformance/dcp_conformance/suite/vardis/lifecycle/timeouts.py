@@ -16,6 +16,7 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
+    deleted_by_consumer,
     lasting,
     latest,
     learn,
@@ -67,10 +68,7 @@ def kept_by_updates(bench: Bench) -> None:
     )
     if early:
         return
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
+    found = deleted_by_consumer(bench, name, since, timeout_ms)
     last_one = any(each.record.seqno == number for each in bench.instructions(ICType.UPDATES, name))
     check_time(bench, found, since, timeout_ms, "VD-SCR-01 VD-SCR-06", received=last_one)
 
@@ -187,9 +185,7 @@ def created_again(bench: Bench) -> None:
     peer, name = bench.peer(), bench.var_id()
     short = lasting(bench, 300, 2)
     first = learn(bench, peer, name, short)
-    if deleted(bench, name, first, short) is None:
-        not_by_consumers(bench, name)
-        return
+    deleted_by_consumer(bench, name, first, short)
     bench.waiting.repeated(_DELETE, name, 0)
     mark = bench.mark()
     long = 3 * short
@@ -203,14 +199,6 @@ def created_again(bench: Bench) -> None:
     check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03 VD-SCR-01")
 
 
-def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
-    return create_own(bench, name, timeout_ms)
-
-
-def _foreign(bench: Bench, name: int, timeout_ms: int) -> Change:
-    return learn(bench, bench.peer(), name, timeout_ms)
-
-
 _LONGEST = 65_535
 
 
@@ -222,17 +210,15 @@ _LONGEST = 65_535
     expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
     window=700,
     needs=_WIRE,
-    variants={"received": _foreign, "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
+    variants={"received": False, "own": Variant(True, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
     long=True,
 )
-def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
+def longest_timeout(bench: Bench, own: bool) -> None:
     shorten_scrubbing(bench)
-    name = bench.identifiers.own_var_id() if make is _own else bench.var_id()
-    since = make(bench, name, _LONGEST)
+    name = bench.identifiers.own_var_id() if own else bench.var_id()
+    since = create_own(bench, name, _LONGEST) if own else learn(bench, bench.peer(), name, _LONGEST)
     found = deleted(bench, name, since, _LONGEST)
-    if found is None and make is _foreign:
+    if found is None and not own:
         not_by_consumers(bench, name)
         return
-    bench.required(found, "a VarDelete of the variable")
-    assert found is not None
-    check_time(bench, found, since, _LONGEST)
+    check_time(bench, bench.required(found, "a VarDelete of the variable"), since, _LONGEST)

@@ -239,8 +239,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
         settled(bench, var_id)
     since = _send(bench, peer, (peer.delete(var_id), peer.update(var_id, 1)), reverse)
     bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
-    upper = bench.session.upper
-    describes = upper is not None and "RTDB-DescribeVariable" in upper.methods
+    describes = bench.services.offers("RTDB-DescribeVariable")
     entry = entry_of(bench, var_id) if describes else None
     deleted = bench.check_repeated(ICType.DELETE_VARIABLES, var_id, count, since, "VD-PD-04", absent="VD-RX-04")
     if not deleted:

@@ -136,8 +136,7 @@ def _mistaken(bench: Bench) -> list[int]:
     """Return identifiers of variables that are unknown, produced by another node, or deleted, as far as the upper
     tester can create them.
     """
-    upper = bench.session.upper
-    deletes = upper is not None and {"RTDB-Create", "RTDB-Delete"} <= upper.methods
+    deletes = bench.services.offers("RTDB-Create", "RTDB-Delete")
     own = [produced(bench, rep_cnt=_several(bench))] if deletes else []
     for each in own:
         settled(bench, each)
@@ -150,7 +149,7 @@ def _mistaken(bench: Bench) -> list[int]:
 
 def _update_mistakes(bench: Bench) -> list[dict[str, Any]]:
     alive: list[dict[str, Any]] = [{"varId": _foreign(bench), "value": each} for each in (_too_long(bench), "")]
-    if bench.session.upper is not None and "RTDB-Create" in bench.session.upper.methods:
+    if bench.services.offers("RTDB-Create"):
         own = produced(bench)
         alive += [{"varId": own, "value": each} for each in (_too_long(bench), "")]
     return [*alive, *({"varId": each, "value": "00"} for each in _mistaken(bench))]

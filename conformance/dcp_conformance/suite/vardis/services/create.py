@@ -354,6 +354,6 @@ def empty_description(bench: Bench) -> None:
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
         bench.answered(answer.ok, claimed, "an empty description is accepted, as empty_description in the PICS claims")
-    if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
+    if answer.ok and bench.services.offers("RTDB-Delete"):
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)
