@@ -42,21 +42,24 @@ def deleted_status(bench: Bench) -> str:
     return "VARDIS-STATUS-VARIABLE-IS-DELETED"
 
 
+def or_removed(bench: Bench, status: str) -> tuple[str, ...]:
+    """Return the allowed statuses: up to 1.3, a deleted variable may have been removed after its repetitions."""
+    return (status, UNKNOWN) if bench.features.removed_after_deletion else (status,)
+
+
 def statuses_after_deletion(bench: Bench) -> tuple[str, ...]:
-    """As :func:`deleted_status`; up to 1.3 the variable may have been removed after its repetitions."""
-    if bench.features.removed_after_deletion:
-        return (deleted_status(bench), UNKNOWN)
-    return (deleted_status(bench),)
+    """As :func:`deleted_status`, with :func:`or_removed`."""
+    return or_removed(bench, deleted_status(bench))
+
+
+def too_long(bench: Bench) -> bytes:
+    """Return a value that is one octet longer than the implementation allows."""
+    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 def empty_status(bench: Bench) -> str:
     """Return the status of create and update for an empty value."""
     return "VARDIS-STATUS-" + ("INVALID" if bench.profile.spec_version < SpecVersion.V1_1 else "EMPTY") + "-VALUE"
-
-
-def same_status(answer: Answer, status: str) -> bool:
-    """Return whether the answer has this status; 1.0 spells statuses with underscores."""
-    return answer.is_status(status)
 
 
 def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
@@ -174,9 +177,12 @@ def teach_variable(bench: Bench, peer: Peer, **record: Any) -> int:
     return var_id
 
 
-def delete_taught_variable(bench: Bench, peer: Peer, var_id: int) -> None:
-    """Let a peer delete its variable; inconclusive if the implementation does not forward the VarDelete."""
+def deleted_by_peer(bench: Bench, rep_cnt: int) -> int:
+    """Let a peer create a variable and delete it; inconclusive if the implementation does not forward both."""
+    peer = bench.peer()
+    var_id = teach_variable(bench, peer, rep_cnt=rep_cnt)
     _send_until_forwarded(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "a forwarded VarDelete")
+    return var_id
 
 
 def _send_until_forwarded(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
@@ -291,6 +297,12 @@ def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
         small = (7 * number + 3 * index + 1) % 100
         values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else small
     return values
+
+
+def numeric_data(bench: Bench, number: int) -> dict[str, Any]:
+    """Return the numeric fields of :func:`safety_data`, as keyword arguments of :meth:`.Records.report`."""
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+    return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
 
 
 def reported_safety_data(bench: Bench, report: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, lifetime
+from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, entered, lifetime
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import (
@@ -108,10 +108,7 @@ _TIMEOUTS: dict[str, tuple[int, ...]] = {"lowered": (3000, 400), "raised": (400,
 def changed_timeout(bench: Bench, values: tuple[int, ...]) -> None:
     first, *others = (_scaled(bench, each) for each in values)
     with parameters_set(bench, "SRP", **{TIMEOUT: first}):
-        peer = bench.peer()
-        begun = bench.now()
-        _report(bench, [peer], 1)
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         for value in others:
             bench.must("SRP-SetParameter", name=TIMEOUT, value=value)
         lifetime(bench, [peer], begun, others[-1] * MS)
@@ -130,10 +127,7 @@ def changed_timeout(bench: Bench, values: tuple[int, ...]) -> None:
 )
 def long_timeout(bench: Bench, milliseconds: int) -> None:
     with parameters_set(bench, "SRP", **{TIMEOUT: milliseconds}):
-        peer = bench.peer()
-        begun = bench.now()
-        _report(bench, [peer], 1)
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         lifetime(bench, [peer], begun, milliseconds * MS)
 
 

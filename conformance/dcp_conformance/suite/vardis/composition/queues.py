@@ -12,12 +12,13 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, require_undisturbed
+from dcp_conformance.test_steps.full_payloads import require_undisturbed
 from dcp_conformance.test_steps.services import listed, produced
 from dcp_conformance.test_steps.variable_queries import modulus, teach_variables
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
+from .exact_sizes import lower
 from .summaries import SUMMARIES, summarises
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -73,13 +74,7 @@ def _prepared(bench: Bench, peer: Peer, kind: ICType, rep_cnt: int, *, known: bo
             peer, *(peer.create(each, value=b"v", descr=b"d", seqno=5, rep_cnt=rep_cnt) for each in sorted(names))
         )
     size = bench.builder.record_size(_record(bench, peer, kind))
-    limit = bench.builder.container_header_size + _FIT * size
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    # The limits of other parameters depend on the size of a payload.
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(2)
-    return names, limit
+    return names, lower(bench, _FIT * size, 2)
 
 
 def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:

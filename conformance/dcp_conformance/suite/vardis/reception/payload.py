@@ -180,7 +180,7 @@ def filled(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = stock(bench, peer, kind, seqno=9)
     mark = request(bench, peer, kind, creates)
-    _, frames = all_of(bench, kind, creates, mark)
+    frames = all_of(bench, kind, creates, mark)
     if len(frames) < 2:
         octets = sum(
             map(
@@ -216,10 +216,8 @@ def request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]
     return mark
 
 
-def all_of(
-    bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int
-) -> tuple[set[int], list[ReceivedBeacon]]:
-    """Wait for records about all the variables; return the variables with records, and the frames with them."""
+def all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> list[ReceivedBeacon]:
+    """Wait for records about all the variables; return the frames with them."""
     wanted = {each.spec.var_id for each in creates}
 
     def present(heard: ReceivedBeacon) -> bool:
@@ -229,7 +227,7 @@ def all_of(
     came = {each.var_id for heard in frames for each in heard.instructions(kind)} & wanted
     what = f"{kind.label} records about all {len(wanted)} variables"
     bench.required(came == wanted, what, seen=f"only about {len(came)}", frames=frames[-1:])
-    return came, frames
+    return frames
 
 
 @case(

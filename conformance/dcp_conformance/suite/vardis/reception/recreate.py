@@ -15,12 +15,11 @@ from dcp_conformance.test_steps.services import (
     OK,
     create_request,
     created_again,
-    delete_taught_variable,
+    deleted_by_peer,
     expect_any,
     max_repetitions,
     nanoseconds,
     produced,
-    same_status,
     settled,
     several_repetitions,
     teach_variable,
@@ -56,9 +55,7 @@ def foreign(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def foreign_deleted(bench: Bench) -> None:
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer)
-    delete_taught_variable(bench, peer, var_id)
+    var_id = deleted_by_peer(bench, 1)
     answer = expect_any(bench, (EXISTS, OK), "RTDB-Create", "VD-CRE-02", **create_request(bench, var_id))
     if answer.ok or answer.is_status(EXISTS):
         bench.reading("X20", "by-description" if answer.ok else "by-steps")
@@ -188,7 +185,7 @@ def ends_repetitions(bench: Bench) -> None:
         bench.inconclusive("a VarUpdate", "none in time")
     mark = bench.mark()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
-    if same_status(answer, EXISTS):
+    if answer.is_status(EXISTS):
         bench.reading("X20", "by-description")
         return
     bench.services.check_status(answer, (OK,), "RTDB-Create")

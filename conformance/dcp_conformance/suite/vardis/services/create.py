@@ -29,6 +29,7 @@ from dcp_conformance.test_steps.services import (
     produced,
     teach_variable,
     timed,
+    too_long,
 )
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
 from dcp_conformance.test_system.bench import MS, Bench
@@ -297,23 +298,19 @@ def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]
 
 _ORDER: dict[str, Callable[[Bench], tuple[str, dict[str, Any]]]] = {
     "taken+descr": lambda b: (EXISTS, _double(b, True, descr=_long_descr(b))),
-    "taken+value": lambda b: (EXISTS, _double(b, True, value=_long_value(b))),
+    "taken+value": lambda b: (EXISTS, _double(b, True, value=too_long(b))),
     "taken+empty": lambda b: (EXISTS, _double(b, True, value=b"")),
     "taken+repcnt": lambda b: (EXISTS, _double(b, True, rep_cnt=0)),
-    "descr+value": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=_long_value(b))),
+    "descr+value": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=too_long(b))),
     "descr+empty": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=b"")),
     "descr+repcnt": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), rep_cnt=0)),
-    "value+repcnt": lambda b: (VALUE_TOO_LONG, _double(b, value=_long_value(b), rep_cnt=0)),
+    "value+repcnt": lambda b: (VALUE_TOO_LONG, _double(b, value=too_long(b), rep_cnt=0)),
     "empty+repcnt": lambda b: (empty_status(b), _double(b, value=b"", rep_cnt=0)),
 }
 
 
 def _long_descr(bench: Bench) -> str:
     return "d" * (longest_description(bench) + 1)
-
-
-def _long_value(bench: Bench) -> bytes:
-    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 @case(

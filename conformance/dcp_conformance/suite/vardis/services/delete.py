@@ -12,13 +12,14 @@ from dcp_conformance.test_steps.services import (
     UNKNOWN,
     count_of,
     created_again,
-    delete_taught_variable,
+    deleted_by_peer,
     deleted_status,
     described,
     entry_of,
     expect_any,
     least_left,
     max_repetitions,
+    or_removed,
     produced,
     settled,
     several_repetitions,
@@ -221,11 +222,8 @@ def foreign(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Delete",)),
 )
 def foreign_deleted(bench: Bench) -> None:
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
-    delete_taught_variable(bench, peer, var_id)
-    gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
-    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Delete", varId=var_id)
+    var_id = deleted_by_peer(bench, max_repetitions(bench))
+    expect_any(bench, or_removed(bench, NOT_PRODUCER), "RTDB-Delete", varId=var_id)
 
 
 @case(

@@ -28,6 +28,7 @@ from dcp_conformance.test_steps.services import (
     settled,
     several_repetitions,
     teach_variable,
+    too_long,
 )
 from dcp_conformance.test_steps.variable_queries import stepped, traces
 from dcp_conformance.test_system.bench import Bench
@@ -46,10 +47,6 @@ class Refusal(NamedTuple):
     service: str
     params: Callable[[Bench, int], dict[str, Any]]
     status: Callable[[Bench], str]
-
-
-def _long(bench: Bench) -> bytes:
-    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 def _creation(**changes: Callable[[Bench], Any]) -> Callable[[Bench, int], dict[str, Any]]:
@@ -76,9 +73,9 @@ def _name(_bench: Bench, var_id: int) -> dict[str, Any]:
 
 
 _OWN = {
-    "update-too-long": Refusal("RTDB-Update", _value(_long), lambda _: VALUE_TOO_LONG),
+    "update-too-long": Refusal("RTDB-Update", _value(too_long), lambda _: VALUE_TOO_LONG),
     "update-empty": Refusal("RTDB-Update", _value(lambda _: b""), empty_status),
-    "create-value-too-long": Refusal("RTDB-Create", _creation(value=_long), lambda _: VALUE_TOO_LONG),
+    "create-value-too-long": Refusal("RTDB-Create", _creation(value=too_long), lambda _: VALUE_TOO_LONG),
     "create-empty": Refusal("RTDB-Create", _creation(value=lambda _: b""), empty_status),
     "create-description-too-long": Refusal(
         "RTDB-Create",
@@ -89,7 +86,7 @@ _OWN = {
 }
 _FOREIGN = {
     "update": Refusal("RTDB-Update", _value(lambda _: b"w"), lambda _: NOT_PRODUCER),
-    "update-too-long": Refusal("RTDB-Update", _value(_long), lambda _: NOT_PRODUCER),
+    "update-too-long": Refusal("RTDB-Update", _value(too_long), lambda _: NOT_PRODUCER),
     "delete": Refusal("RTDB-Delete", _name, lambda _: NOT_PRODUCER),
     "create": Refusal("RTDB-Create", _creation(), lambda _: EXISTS),
 }

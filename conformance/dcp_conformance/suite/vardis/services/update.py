@@ -19,13 +19,14 @@ from dcp_conformance.test_steps.services import (
     VALUE_TOO_LONG,
     count_of,
     create_request,
-    delete_taught_variable,
+    deleted_by_peer,
     empty_status,
     entry_of,
     expect_any,
     holds_two_octets,
     least_left,
     max_repetitions,
+    or_removed,
     produced,
     settled,
     several_repetitions,
@@ -277,11 +278,8 @@ def foreign(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Update",)),
 )
 def foreign_deleted(bench: Bench) -> None:
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
-    delete_taught_variable(bench, peer, var_id)
-    gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
-    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=bench.records.value(b"ours").hex())
+    var_id, value = deleted_by_peer(bench, max_repetitions(bench)), bench.records.value(b"ours").hex()
+    expect_any(bench, or_removed(bench, NOT_PRODUCER), "RTDB-Update", varId=var_id, value=value)
 
 
 @case(
