@@ -136,8 +136,7 @@ def order_of_creation_times(bench: Bench) -> None:
     bench.session.creation_time = second
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id, creation_time=first, value=b"first"))
-    start = bench.mark()
-    peer.send(peer.create(var_id, creation_time=second, value=b"second"))
+    start = peer.stimulate(peer.create(var_id, creation_time=second, value=b"second"))
     passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {second:#x} replaces the one created at {first:#x}"

@@ -71,9 +71,9 @@ class Bench:
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
         self.builder = FrameBuilder(codec, sized=partial(self.excuses.relies_on, "size"))
         self.transmission = Transmission(lower, traffic, self.steps, self.losses, self.sut)
-        self.peers = Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers)
         self.receiver = Receiver(session, case.id, lower, traffic, self.steps, self.identifiers, self.heard)
         self.waiting = Waiting(self.receiver, lower, self.sut, self.losses)
+        self.peers = Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers, self.waiting)
         self.repetitions = Repetitions(self.waiting, self.verdicts)
         changes = Changes(self.sut.initial)
         self.services = Services(

@@ -11,6 +11,7 @@ from dcp_spec.constants import IC_MAX_RECORDS
 from dcp_codec.values import ExtendedSafetyData, VarCreate, VardisRecord
 from dcp_conformance.frames.builder import Block, FrameBuilder, Lies
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
+from dcp_conformance.test_system.reception.waiting import Waiting
 from dcp_conformance.test_system.sut_properties import SutProperties
 
 from .records import CreationFields, Records
@@ -28,6 +29,7 @@ class Peer:
         builder: FrameBuilder,
         records: Records,
         sut: SutProperties,
+        waiting: Waiting,
     ) -> None:
         self.node_id = node_id
         self.address = address
@@ -37,6 +39,7 @@ class Peer:
         self._builder = builder
         self._records = records
         self._sut = sut
+        self._waiting = waiting
         self.update = records.update
         self.delete = records.delete
         self.summary = records.summary
@@ -62,6 +65,12 @@ class Peer:
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding
         blocks = max(1, len(self._blocks(what)))
         return self._transmission.send(octets if cut is None else octets[:cut], self.address, blocks)
+
+    def stimulate(self, *what: Block | VardisRecord | ExtendedSafetyData | bytes) -> int:
+        """Send one beacon as :meth:`send` does; return the mark before it, for the reactions."""
+        mark = self._waiting.mark()
+        self.send(*what)
+        return mark
 
     def send_all(self, records: Iterable[VardisRecord]) -> None:
         """Send records in as many beacons as needed: no payload exceeds the implementation's own maximum size."""
@@ -139,12 +148,13 @@ class Peers:
     _records: Records
     _sut: SutProperties
     _identifiers: Identifiers
+    _waiting: Waiting
     made: list[Peer] = field(default_factory=list, init=False)
     """The peers so far."""
 
     def new(self) -> Peer:
         """Return a virtual node that has not sent anything before. Raises ``NamesUsedUp``."""
         node_id, address = self._identifiers.new_node()
-        peer = Peer(node_id, address, self._transmission, self._builder, self._records, self._sut)
+        peer = Peer(node_id, address, self._transmission, self._builder, self._records, self._sut, self._waiting)
         self.made.append(peer)
         return peer

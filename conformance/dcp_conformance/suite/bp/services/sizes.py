@@ -226,8 +226,7 @@ def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
     peer, (damaged, valid) = bench.peer(), bench.identifiers.unknown_ids(2)
     for _ in paced(bench, range(_DAMAGED)):
         peer.send(peer.summary(damaged, 1), lies=lies, cut=cut)
-    start = bench.mark()
-    peer.send(peer.summary(valid, 1))
+    start = peer.stimulate(peer.summary(valid, 1))
     check_processed(bench, [valid], start, "a beacon after damaged ones of its sender", "BP-RX-07", "BP-RX-16")
 
 

@@ -110,11 +110,9 @@ def current_value(bench: Bench) -> None:
     bench.learn(peer, create)
     updated: list[Instruction] = []
     for number, value in ((4, b"second"), (7, b"the third")):
-        mark = bench.mark()
-        peer.send(peer.update(var_id, number, value))
+        mark = peer.stimulate(peer.update(var_id, number, value))
         updated = bench.waiting.repeated(_UPDATE, var_id, mark)
-    mark = bench.mark()
-    peer.send(peer.request_create(var_id))
+    mark = peer.stimulate(peer.request_create(var_id))
     bench.required(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable")
     found = bench.instructions(_CREATE, var_id, mark)
     record = found[0].record
@@ -168,8 +166,7 @@ def changes_while_repeated(bench: Bench) -> None:
 def update_requested_once(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id, seqno=5, rep_cnt=bench.sut.rep_cnt(3)))
-    mark = bench.mark()
-    peer.send(peer.summary(var_id, 9))
+    mark = peer.stimulate(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_UPDATE, var_id, 1, mark)
     numbers = [each.record.seqno for each in found]
     bench.proved(set(numbers) <= {5}, "its own sequence number, 5", numbers, frames=found)
@@ -209,8 +206,7 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     requirement = "VD-CMP-11" if kind is _ASK_UPDATE else "VD-CMP-12"
     if kind is _ASK_UPDATE:
         bench.learn(peer, *(peer.create(each, seqno=number) for number, each in enumerate(names)))
-    mark = bench.mark()
-    peer.send(*(peer.summary(each, 60) for each in names))
+    mark = peer.stimulate(*(peer.summary(each, 60) for each in names))
     bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
     found = [each for each in bench.instructions(kind, since=mark) if each.var_id in names]
     bench.only([each.var_id for each in found], names, "one request for each variable", requirement, frames=found)
@@ -237,11 +233,9 @@ def many_requests(bench: Bench, kind: ICType) -> None:
 def after_the_last_delete(bench: Bench) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     bench.check_repeated(_DELETE, var_id, repetitions, mark)
-    mark = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    mark = peer.stimulate(peer.summary(var_id, 1))
     if bench.features.removed_after_deletion:
         bench.some(bench.until_instruction(_ASK_CREATE, var_id), "a request for the variable, which is unknown again")
         return
@@ -264,8 +258,7 @@ def after_the_last_delete(bench: Bench) -> None:
 def described_after_the_last_delete(bench: Bench) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     if not bench.waiting.repeated(_DELETE, var_id, mark):
         bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
     if bench.features.removed_after_deletion:
@@ -324,8 +317,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
         bench.learn(peer, create)
         peer.send(peer.update(var_id, 1))
     bench.required(bench.until_instruction(kind, var_id), "a record of the variable", "VD-PD-04")
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     found = bench.check_repeated(_DELETE, var_id, repetitions, mark, "VD-PD-04")
     if not found:
         return

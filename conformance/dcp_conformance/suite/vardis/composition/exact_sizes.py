@@ -212,8 +212,7 @@ def head_does_not_fit(bench: Bench) -> None:
         # Whether the implementation learnt it cannot be observed: a forwarded VarCreate would be the only sign.
         peer.send(create)
     bench.wait(3)
-    mark = bench.mark()
-    peer.send(peer.request_create(large), peer.summary(unknown, 1))
+    mark = peer.stimulate(peer.request_create(large), peer.summary(unknown, 1))
     bench.some(
         bench.until_instruction(ICType.REQUEST_VARCREATES, unknown),
         "other containers, although the VarCreate at the head of createQ does not fit",
@@ -301,8 +300,7 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
     lower(bench, number * bench.builder.record_size(sample) - less)
 
     def caused() -> list[ReceivedBeacon]:
-        mark = bench.mark()
-        peer.send(*stimuli)
+        mark = peer.stimulate(*stimuli)
         return bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
 
     # Deletions have an effect only once, and requests each time.

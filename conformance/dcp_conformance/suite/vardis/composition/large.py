@@ -52,8 +52,7 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     peer = bench.peer()
     known = teach_variable(bench, peer, value=b"stays")
     first, last = bench.identifiers.unknown_ids(2)
-    since = bench.mark()
-    peer.send(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
+    since = peer.stimulate(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
     bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
     bench.beacons(1, 1.5)
     asked = [bool(bench.instructions(ICType.REQUEST_VARCREATES, each, since)) for each in (first, last)]

@@ -62,8 +62,7 @@ def _check_cancelled(bench: Bench, number: int, what: str, second: _Made, expect
         peer = bench.peer()
         var_id = teach_variable(bench, peer) if number else bench.unknown_id()
         bench.identifiers.created.add(var_id)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, number))
+        since = peer.stimulate(peer.summary(var_id, number))
         peer.send(second(peer, var_id))
         bench.require_alive(f"a summary and {what}")
         bench.beacons(1, 1.5)
@@ -155,8 +154,7 @@ def deletion_overtaken(bench: Bench) -> None:
     var_id = teach_variable(bench, peer, rep_cnt=count)
     peer.send(peer.delete(var_id))
     bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded")
-    since = bench.mark()
-    peer.send(peer.create(var_id, rep_cnt=2))
+    since = peer.stimulate(peer.create(var_id, rep_cnt=2))
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
@@ -324,8 +322,7 @@ def number_of_a_request(bench: Bench) -> None:
         bench.inconclusive("a VarUpdate of the variable, which this case needs", "the implementation sends none")
     # A request that was prepared before the VarUpdate may still be sent.
     bench.wait(2)
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 11))
+    start = peer.stimulate(peer.summary(var_id, 11))
     bench.until_instruction(kind, var_id)
     found = bench.required(bench.instructions(kind, var_id, start), "a VarReqUpdate for the variable", "VD-PS-04")
     numbers = [getattr(each.record, "seqno", None) for each in found]
@@ -343,8 +340,7 @@ def number_of_a_request(bench: Bench) -> None:
 def request_not_withdrawn(bench: Bench) -> None:
     peer, other = bench.peer(), bench.peer()
     var_id = teach_variable(bench, peer, seqno=5)
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 9))
+    start = peer.stimulate(peer.summary(var_id, 9))
     other.send(other.summary(var_id, 5))
     bench.until_instruction(ICType.REQUEST_VARUPDATES, var_id)
     found = bench.instructions(ICType.REQUEST_VARUPDATES, var_id, start)

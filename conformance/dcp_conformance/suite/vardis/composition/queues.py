@@ -276,8 +276,7 @@ def many_records(bench: Bench, what: tuple[ICType, int, Stimulus, str]) -> None:
     names = bench.identifiers.unknown_ids(count) if kind is _ASK_CREATE else bench.identifiers.var_ids(count)
     if kind is not _ASK_CREATE:
         teach_variables(bench, peer, [peer.create(each, value=b"v", descr=b"d", seqno=5) for each in names])
-    start = bench.mark()
-    peer.send(*(stimulus(peer, each) for each in names))
+    start = peer.stimulate(*(stimulus(peer, each) for each in names))
     frames = bench.until_quiet(_about(kind, names), since=start)
     found = [each for each in bench.instructions(kind, since=start) if each.var_id in names]
     # An application on the node may have created one of them.

@@ -95,8 +95,7 @@ def _overflow(bench: Bench, peer: Peer, fillers: Sequence[VarCreate], kind: ICTy
     """
     for _ in range(3):
         pending = _pending(bench, peer, kind, number)
-        pending.since = bench.mark()
-        peer.send(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
+        pending.since = peer.stimulate(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
         # A VarCreate of the case itself may be between the fillers.
         if kind is _CREATE or until_all(bench, fillers) is not None:
             break
@@ -224,8 +223,7 @@ def request_cancelled(bench: Bench) -> None:
     requests = [peer.request_create(each.spec.var_id) for each in fillers]
     name, timeout_ms = bench.var_id(), lasting(bench, 800, 5)
     begun = learn(bench, peer, name, timeout_ms).after
-    since = bench.mark()
-    peer.send(*requests)
+    since = peer.stimulate(*requests)
     peer.send(peer.summary(name, 1))
     until = begun + latest(bench, timeout_ms)
     while bench.now() < until:

@@ -184,8 +184,7 @@ def current_number(bench: Bench) -> None:
     bench.learn(peer, peer.create(name, seqno=3))
     _check_number(bench, name, 3, bench.mark())
     for number in (4, 9):
-        mark = bench.mark()
-        peer.send(peer.update(name, number))
+        mark = peer.stimulate(peer.update(name, number))
         bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded")
         # A payload composed before the update was sent before the VarUpdate.
         _check_number(bench, name, number, bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0]))

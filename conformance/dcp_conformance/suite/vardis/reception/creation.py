@@ -132,8 +132,7 @@ def replaced(bench: Bench) -> None:
     count = min(2, max_repetitions(bench))
     second = other.create(var_id, value=b"other", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1)
     bench.records.creation_time()
-    since = bench.mark()
-    other.send(second)
+    since = other.stimulate(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
     bench.every(found, second, "the VarCreate unchanged")
     _held(bench, var_id, second, "all contents of the second VarCreate in the database", "VD-PC-07")
@@ -229,8 +228,7 @@ def together(bench: Bench, descending: bool) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
     records = [peer.create(var_id, value=b"early"), other.create(var_id, value=b"later")]
     later = records[1]
-    since = bench.mark()
-    peer.send(*(reversed(records) if descending else records))
+    since = peer.stimulate(*(reversed(records) if descending else records))
     found = bench.check_repeated(CREATES, var_id, 1, since)
     bench.proved(
         all(each.record == later for each in found), "only the later one is forwarded", "the other one", frames=found
@@ -259,8 +257,7 @@ def revived(bench: Bench) -> None:
         (peer.update(var_id, 1), ICType.UPDATES),
         (peer.delete(var_id), ICType.DELETE_VARIABLES),
     ):
-        since = bench.mark()
-        peer.send(what)
+        since = peer.stimulate(what)
         found = bench.check_repeated(kind, var_id, 1, since)
         bench.none([each for each in found if each.record != what], f"the {kind.label} record unchanged")
         if kind is CREATES and bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
@@ -284,8 +281,7 @@ def revived(bench: Bench) -> None:
 )
 def own_producer(bench: Bench) -> None:
     peer, var_id, own = bench.peer(), bench.unknown_id(), own_id(bench)
-    since = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    since = peer.stimulate(peer.summary(var_id, 1))
     bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     peer.send(peer.create(var_id, producer=own, seqno=1))
     bench.require_alive("a VarCreate with its own identifier as prodId")
@@ -309,8 +305,7 @@ def two_identifiers(bench: Bench) -> None:
     peer, (spec, upd) = bench.peer(), bench.identifiers.unknown_ids(2)
     bench.identifiers.created.add(spec)
     record = bench.builder.container(peer.create(spec), lies={"records[0].upd.varId": upd})
-    since = bench.mark()
-    peer.send(record)
+    since = peer.stimulate(record)
     bench.require_alive("a VarCreate with two identifiers")
     bench.beacons(1, 1.5)
     taken = bench.instructions(CREATES, spec, since)

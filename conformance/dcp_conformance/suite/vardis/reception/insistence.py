@@ -67,8 +67,7 @@ def again(bench: Bench) -> None:
     # One kind after the other, as in a payload.
     stimuli.sort(key=lambda each: type(each[0]).__name__)
     for number in range(_ROUNDS):
-        start = bench.mark()
-        peer.send(*(record for record, _, _ in stimuli))
+        start = peer.stimulate(*(record for record, _, _ in stimuli))
 
         bench.until(lambda _, since=start: not _left(bench, stimuli, since))  # type: ignore[misc]
         bench.beacons(1, 1.5)
@@ -108,8 +107,7 @@ def after_errors(bench: Bench, octets: bytes) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
     for _ in paced(bench, range(_DAMAGED)):
         peer.send(Block(BP_PROTID_VARDIS, octets))
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    start = peer.stimulate(peer.summary(var_id, 1))
     check_processed(bench, [var_id], start, "a payload after damaged ones of its sender")
 
 
@@ -223,8 +221,7 @@ def long_received(bench: Bench, length: int) -> None:
     update = peer.update(name, 1, _text(length, 7), exact=True)
     peer.send(update)
     bench.equal(bench.until_instruction(_UPDATE, name), update, "the VarUpdate", "VD-PU-04 VD-PU-07")
-    start = bench.mark()
-    peer.send(peer.request_create(name))
+    start = peer.stimulate(peer.request_create(name))
     bench.until_instruction(_CREATE, name)
     found = bench.instructions(_CREATE, name, start)[:1]
     bench.some(found, "a VarCreate when the variable is requested", "VD-RC-03")

@@ -247,8 +247,7 @@ def no_variable_twice(bench: Bench) -> None:
     unknown = bench.unknown_id()
     peer.send(peer.summary(unknown, 1), peer.summary(unknown, 2), peer.summary(unknown, 3))
     bench.waiting.repeated(ICType.CREATE_VARIABLES, var_ids[-1], bench.mark())
-    mark = bench.mark()
-    peer.send(*(peer.delete(each) for each in var_ids))
+    mark = peer.stimulate(*(peer.delete(each) for each in var_ids))
     bench.waiting.repeated(ICType.DELETE_VARIABLES, var_ids[-1], mark)
     kinds = {each.kind for heard in bench.heard for each in heard.instructions()}
     for heard in bench.heard:
@@ -279,8 +278,7 @@ def no_variable_twice(bench: Bench) -> None:
 def nothing_to_say(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id))
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     bench.waiting.repeated(ICType.DELETE_VARIABLES, var_id, mark)
     quiet = bench.mark()
     bench.wait(5)

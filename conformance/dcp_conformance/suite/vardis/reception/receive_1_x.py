@@ -70,8 +70,7 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
 )
 def after_the_error(bench: Bench, bad: _Bad) -> None:
     peer, (wanted, damaged) = bench.peer(), bench.identifiers.unknown_ids(2)
-    since = bench.mark()
-    peer.send(bad(bench, peer, damaged), bench.builder.container(peer.summary(wanted, 1)))
+    since = peer.stimulate(bad(bench, peer, damaged), bench.builder.container(peer.summary(wanted, 1)))
     bench.require_alive("the payload")
     bench.beacons(1, 1.5)
     found = bench.instructions(_REQUEST, wanted, since)

@@ -250,8 +250,7 @@ def request_ended(bench: Bench) -> None:
     for _ in range(3):
         peer, var_id = bench.peer(), bench.identifiers.own_var_id()
         bench.beacons(1)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, 1))
+        since = peer.stimulate(peer.summary(var_id, 1))
         bench.must("RTDB-Create", **create_request(bench, var_id))
         bench.require_alive("a summary and RTDB-Create")
         bench.beacons(1, 1.5)

@@ -110,8 +110,7 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     def good(var_id: int) -> bytes:
         return bench.builder.container(peer.summary(var_id, 1))
 
-    since = bench.mark()
-    peer.send(bad(bench, peer, damaged[0]))
+    since = peer.stimulate(bad(bench, peer, damaged[0]))
     peer.send(good(before), bad(bench, peer, damaged[1]))
     peer.send(bad(bench, peer, damaged[2]), good(behind))
     peer.send(good(first), bad(bench, peer, damaged[3]), good(last))

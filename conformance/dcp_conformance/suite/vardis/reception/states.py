@@ -260,8 +260,7 @@ def event(bench: Bench, cell: Cell) -> None:
 def removed(bench: Bench) -> None:
     peer = bench.peer()
     var_id = teach_variable(bench, peer)
-    since = bench.mark()
-    peer.send(peer.delete(var_id))
+    since = peer.stimulate(peer.delete(var_id))
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     peer.send(peer.summary(var_id, 0))
     came = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)

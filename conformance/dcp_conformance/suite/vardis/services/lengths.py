@@ -81,8 +81,7 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
         rep_cnt=number if field == "repCnt" else 1,
         exact=True,
     )
-    since = bench.mark()
-    peer.send(record)
+    since = peer.stimulate(record)
     if allowed:
         came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         bench.equal(came, record, "the accepted VarCreate, forwarded unchanged")

@@ -78,8 +78,7 @@ def received(bench: Bench, limits: Limits) -> None:
         peer.send(peer.update(name, 1, b"v" * limits.value, exact=True))
         stored = bench.until_instruction(ICType.UPDATES, name)
         bench.some(stored, f"a VarUpdate with a value of {limits.value} octets is forwarded", "VD-PU-04")
-        mark = bench.mark()
-        peer.send(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
+        mark = peer.stimulate(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
         held = ask(bench, name)
         wrong_update = [each for each in bench.instructions(ICType.UPDATES, name, mark) if each.record.seqno == 2]
         taken = wrong_update or (held.record is not None and held.record.upd.seqno == 2)

@@ -98,8 +98,7 @@ def discards(bench: Bench) -> None:
     known = teach_variable(bench, peer, value=b"before")
     created, summarized = bench.identifiers.unknown_ids(2)
     with bench.services.deactivated("VD"):
-        mark = bench.mark()
-        peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
+        mark = peer.stimulate(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
         bench.wait(max(2, bench.session.known.processing))
     bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
