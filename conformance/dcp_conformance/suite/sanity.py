@@ -65,8 +65,7 @@ def _judge_inactive(bench: Bench, contact: Contact) -> None:
 def _judge_beacons(bench: Bench, contact: Contact) -> None:
     """Check for a beacon; without VarDis that is sufficient."""
     what = "a beacon of the implementation"
-    if not contact.frames:
-        bench.inconclusive(what, contact.suspicion)
+    bench.needed(contact.frames, what, contact.suspicion)
     bench.passed(what)
 
 

@@ -286,6 +286,13 @@ class BPClient:
 
         return self.bench.until(wanted, periods)
 
+    def put_on_air(self, what: str = "a beacon with the payload", size: int = 12) -> bytes:
+        """Submit a new payload and return it; stop as inconclusive unless beacons of the client come."""
+        payload = self.payload(size)
+        self.transmit(payload)
+        needed(self.bench, self.until_sent(), what)
+        return payload
+
     # -- indications -------------------------------------------------------------------------------------------
 
     def received(self, since: int = 0) -> list[bytes]:
@@ -387,5 +394,4 @@ def some_beacons(bench: Bench, count: int) -> list[ReceivedBeacon]:
 
 def needed(bench: Bench, found: object, what: str) -> None:
     """Stop as inconclusive without required beacons: BP does not guarantee when a payload is sent (BP-GEN-02)."""
-    if not found:
-        bench.inconclusive(f"{what}, which this case needs", f"none within {bench.sut.reaction:g} periods")
+    bench.needed(found, f"{what}, which this case needs", f"none within {bench.sut.reaction:g} periods")

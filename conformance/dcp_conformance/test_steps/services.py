@@ -157,8 +157,7 @@ def created_again(bench: Bench, var_id: int, **request: Any) -> None:
         bench.reading("X20", "by-description")
         bench.verdicts.not_applicable("RTDB-Create rejects the identifier of an existing variable (X20)")
     bench.services.require_asked(answer, "RTDB-Create succeeds, which this case needs")
-    if not answer.ok:
-        bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
+    bench.needed(answer.ok, "RTDB-Create succeeds, which this case needs", str(answer))
 
 
 def settled(bench: Bench, var_id: int, since: int | None = None) -> None:

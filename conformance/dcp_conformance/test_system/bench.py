@@ -92,9 +92,11 @@ class Bench:
         self.info = self.verdicts.info
         self.reading = self.verdicts.reading
         self.require_alive = self.probes.require_alive
+        self.require_processed = self.probes.require_processed
         self.check_repeated = self.repetitions.check
         self.some = matchers.some
         self.required = matchers.required
+        self.needed = matchers.needed
         self.complete = matchers.complete
         self.none = matchers.none
         self.every = matchers.every

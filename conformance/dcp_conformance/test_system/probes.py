@@ -96,6 +96,11 @@ class Probes:
         alive, what = self.probe() or self.probe(), f"VarDis still answers after {after}"
         Matchers(self._verdicts).required(alive, what, *requirements, seen="no answer to two probes")
 
+    def require_processed(self, after: str, *requirements: str) -> None:
+        """As :meth:`require_alive`; then wait for one more beacon, which shows what ``after`` has caused."""
+        self.require_alive(after, *requirements)
+        self._waiting.beacons(1, 1.5)
+
 
 @dataclass(eq=False)
 class Teaching:

@@ -136,9 +136,7 @@ def split(bench: Bench) -> None:
 def taken_over(bench: Bench) -> None:
     peer, name = bench.peer(), produced(bench)
     bench.until_instruction(_CREATE, name)
-    mine = bench.instructions(_CREATE, name)
-    if not mine:
-        bench.inconclusive("a VarCreate of the node's own variable", "none in time")
+    mine = bench.needed(bench.instructions(_CREATE, name), "a VarCreate of the node's own variable")
     stamp, made = bench.profile.types.timestamp, mine[0].record.spec.creation_time
     if stamp.epoch_ns is not None and made - bench.records.creation_time() > 86_400 * stamp.per_second:
         # Otherwise every further VarCreate of this run would need a still later creationTime.

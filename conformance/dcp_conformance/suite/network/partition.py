@@ -93,9 +93,8 @@ def created_in_the_other_half(bench: Bench) -> None:
     bench.learn(source, source.create(name, seqno=100, rep_cnt=count))
     mark = source.stimulate(source.delete(name))
     bench.waiting.repeated(_DELETE, name, mark)
-    mark = bench.mark()
     create = other.create(name, value=b"other half", rep_cnt=count)
-    other.send(create)
+    mark = other.stimulate(create)
     bench.check_repeated(_CREATE, name, count, mark, "VD-PC-09")
     bench.equal(held(bench, name), create, "the variable in the database", "VD-PC-02")
 

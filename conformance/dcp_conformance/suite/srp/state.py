@@ -38,8 +38,7 @@ def not_later(bench: Bench, seconds: int) -> None:
     before = seconds * bench.profile.types.timestamp.per_second
     first, peer = max(bench.records.creation_time(), before), bench.peer()
     peer.send(bench.records.report(peer.node_id, 5, t_stamp=first))
-    if until_neighbour(bench, peer.node_id, 5) is None:
-        bench.inconclusive("an entry with the first record", "no such entry")
+    bench.needed(until_neighbour(bench, peer.node_id, 5), "an entry with the first record", "no such entry")
     peer.send(bench.records.report(peer.node_id, 6, t_stamp=first - before))
     entry = until_neighbour(bench, peer.node_id, 6)
     bench.some(entry, "an entry with the second record", seen="the entry still has the first record")

@@ -182,8 +182,7 @@ def not_newer(bench: Bench, seqno: int) -> None:
     _require_reception(bench)
     peer = bench.peer()
     peer.send(bench.records.report(peer.node_id, 100, **numeric_data(bench, 1)))
-    if until_neighbour(bench, peer.node_id, 100) is None:
-        bench.inconclusive("an entry with the first record", "no such entry")
+    bench.needed(until_neighbour(bench, peer.node_id, 100), "an entry with the first record", "no such entry")
     values = numeric_data(bench, 2)
     peer.send(bench.records.report(peer.node_id, seqno, **values))
     _require_working(bench, "a record with an older sequence number")
@@ -353,9 +352,7 @@ def own_data(bench: Bench) -> None:
 def extra_fields(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.records.report(peer.node_id, 1))
-    entry = until_neighbour(bench, peer.node_id)
-    if entry is None:
-        bench.inconclusive("an entry of the neighbour", "no entry")
+    entry = bench.needed(until_neighbour(bench, peer.node_id), "an entry of the neighbour", "no entry")
     extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
     bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
     claimed = bench.sut.pics.neighbour_statistics

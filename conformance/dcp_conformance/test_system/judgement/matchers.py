@@ -132,6 +132,12 @@ class Missing(Statements):
             raise StopCase
         return found
 
+    def needed(self, found: T | None, what: str, observed: str = NOTHING, /, *requirements: str) -> T:
+        """Return what was found; stop the case as inconclusive if there is nothing, since it needs it."""
+        if not found:
+            self._verdicts.inconclusive(what, observed, *requirements)
+        return found
+
     def complete(
         self, missing: Collection[object], expected: str, /, *requirements: str, frames: Iterable[Evidence] = ()
     ) -> bool:

@@ -23,7 +23,6 @@ from dcp_conformance.test_steps.bp_clients import (
     block_header_octets,
     header_octets,
     listed,
-    needed,
     queue_mode,
     room,
 )
@@ -163,8 +162,7 @@ def head_of_line(bench: Bench) -> None:
         BPClient(bench, REPEAT, size=filler) as constant,
         BPClient(bench, queue_mode(bench), size=large, entries=4) as client,
     ):
-        constant.transmit(constant.payload(filler))
-        needed(bench, constant.until_sent(), "beacons with the first payload")
+        constant.put_on_air("beacons with the first payload", size=filler)
         start = 0
 
         def act() -> list[bytes]:

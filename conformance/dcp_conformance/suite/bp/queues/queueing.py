@@ -226,8 +226,7 @@ def repeat(bench: Bench) -> None:
 )
 def repeat_in_every_beacon(bench: Bench) -> None:
     with BPClient(bench, REPEAT, several=True) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         frames = bench.beacons(6)
         # A buffer has one payload: allowMultiplePayloads does not matter for it.
         most = max([len(client.in_frame(heard)) for heard in frames], default=0)
@@ -291,8 +290,7 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
 )
 def clear_repeated(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         bench.must(CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         bench.wait(4)

@@ -139,8 +139,7 @@ def wrong_header(bench: Bench, fault: _Fault) -> None:
 def own_sender(bench: Bench) -> None:
     if bench.session.sut_id is None:
         with BPClient(bench, ONCE) as client:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon of the implementation")
+            client.put_on_air("a beacon of the implementation")
     check_ignored(
         bench, lambda peer, block: peer.send(block, sender=bench.identifiers.sut_id), "a beacon with its own senderId"
     )
@@ -360,13 +359,11 @@ def after_other_blocks(bench: Bench) -> None:
 def numbers_after_reset(bench: Bench) -> None:
     for _ in range(2):
         with BPClient(bench, ONCE) as client:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon with the payload")
+            client.put_on_air()
     bench.must("UT-Reset")
     start = bench.mark()
     with BPClient(bench, ONCE) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
     check_first_number(bench, first_number(bench, bench.heard[:start], bench.heard[start:]))
 
 
@@ -402,14 +399,12 @@ def _without_room(bench: Bench) -> Iterator[None]:
 )
 def idle_clients(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         bench.until_quiet(lambda heard: heard, 6)
         last, pause = bench.heard[-1], bench.wait(3)
         with _without_room(bench):
             pause += bench.wait(3)
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the second payload")
+        client.put_on_air("a beacon with the second payload")
     following = bench.heard[bench.heard.index(last) + 1]
     if bench.successive(last, following) and pause:
         bench.inconclusive("no beacon during the pause", f"{len(pause)} beacons")
@@ -474,7 +469,6 @@ def broken_by(head: bytes, right: bytes) -> Iterator[str]:
 def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
     with BPClient(bench, ONCE) as client:
         if bench.session.sut_id is None:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon of the implementation")
+            client.put_on_air("a beacon of the implementation")
         bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.identifiers.sut_id))
         bench.some(client.until_received(), "an indication of the block")

@@ -335,8 +335,7 @@ def immediate(bench: Bench, method: str) -> None:
 )
 def no_arrears(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         before = len(bench.wait(8))
         with bench.services.deactivated("BP"):
             bench.wait(10)

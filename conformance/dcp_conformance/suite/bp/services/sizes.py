@@ -21,7 +21,6 @@ from dcp_conformance.test_steps.bp_clients import (
     areas_of_fixed_size,
     each_mode,
     listed,
-    needed,
     queue_mode,
     registered,
     unused_protocol_id,
@@ -242,8 +241,7 @@ def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
 )
 def counts_far(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=8) as client, parameters_set(bench, "BP", **{_PERIOD: 1}):
-        client.transmit(client.payload(8))
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air(size=8)
         begun, deadline = bench.heard[-1], bench.now() + 300_000 * MS
         last = begun
         while bench.now() < deadline and (last.seqno or 0) <= _SIXTEEN_BITS:

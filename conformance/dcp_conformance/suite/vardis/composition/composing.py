@@ -63,9 +63,8 @@ def changes_counted(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
     bench.learn(peer, *creates)
-    mark = bench.mark()
     names = [each.spec.var_id for each in creates]
-    peer.send(*(peer.update(each, 1) if kind is _UPDATE else peer.delete(each) for each in names))
+    mark = peer.stimulate(*(peer.update(each, 1) if kind is _UPDATE else peer.delete(each) for each in names))
     for each in creates:
         bench.check_repeated(kind, each.spec.var_id, each.spec.rep_cnt, mark)
 
@@ -259,8 +258,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
     mark = peer.stimulate(peer.delete(var_id))
-    if not bench.waiting.repeated(_DELETE, var_id, mark):
-        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+    bench.needed(bench.waiting.repeated(_DELETE, var_id, mark), "a VarDelete of the variable, which this case needs")
     if bench.features.removed_after_deletion:
         bench.expect_status("VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST", "RTDB-DescribeVariable", varId=var_id)
         return

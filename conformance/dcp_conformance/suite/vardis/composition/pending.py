@@ -64,8 +64,7 @@ def _check_cancelled(bench: Bench, number: int, what: str, second: _Made, expect
         bench.identifiers.created.add(var_id)
         since = peer.stimulate(peer.summary(var_id, number))
         peer.send(second(peer, var_id))
-        bench.require_alive(f"a summary and {what}")
-        bench.beacons(1, 1.5)
+        bench.require_processed(f"a summary and {what}")
         return not bench.instructions(kind, var_id, since)
 
     _check_once(bench, attempt, f"{expected}, in at least one of 3 attempts")
@@ -176,9 +175,8 @@ def update_overtaken(bench: Bench) -> None:
     bench.learn(peer, peer.create(var_id, rep_cnt=count))
     peer.send(peer.update(var_id, 1))
     bench.required(bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded")
-    since = bench.mark()
     record = peer.create(var_id, rep_cnt=2, value=b"anew")
-    peer.send(record)
+    since = peer.stimulate(record)
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     bench.every(found, record, "the new VarCreate unchanged")
     first = bench.heard.index(found[0].heard) if found else since

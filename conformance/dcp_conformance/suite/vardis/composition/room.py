@@ -190,8 +190,7 @@ def summaries_stay_queued(bench: Bench) -> None:
     peer = bench.peer()
     fillers = _fillers(bench, peer, 0)
     peer.send(*(peer.request_create(each.spec.var_id) for each in fillers))
-    if until_all(bench, fillers) is None:
-        bench.inconclusive(_FULL, "none in time")
+    bench.needed(until_all(bench, fillers), _FULL)
     bench.mark()
     since, wanted = len(bench.heard), {each.spec.var_id for each in fillers}
     turn = 3 + 2 * len(wanted) / bench.sut.parameter(SUMMARIES)

@@ -138,9 +138,8 @@ def no_summaries(bench: Bench) -> None:
     if settable(bench):
         bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     bench.wait(3)
-    mark = bench.mark()
     unknown = bench.unknown_id()
-    peer.send(peer.summary(unknown, 1), peer.update(name, 1))
+    mark = peer.stimulate(peer.summary(unknown, 1), peer.update(name, 1))
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
     bench.some(asked, "a request for the unknown variable", "VD-CMP-01")
     bench.wait(4)

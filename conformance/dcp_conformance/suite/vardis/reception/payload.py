@@ -381,8 +381,7 @@ def several_containers(bench: Bench) -> None:
     elif bench.sut.pics.several_containers is False:
         bench.none(several, "one container of each type in a payload, as the PICS claims", seen=text)
     elif bench.sut.pics.several_containers:
-        if not several:
-            bench.inconclusive("several containers of a type in a payload, as the PICS claims", "none observed")
+        bench.needed(several, "several containers of a type in a payload, as the PICS claims", "none observed")
         bench.passed("several containers of a type in a payload, as the PICS claims", frames=several[:2])
     else:
         bench.info("Does a payload have several containers of the same type?", "yes" if several else "not observed")

@@ -180,10 +180,8 @@ _ORDERS = {"in-order": False, "reversed": True}
 
 
 def _send(bench: Bench, peer: Peer, records: tuple[VardisRecord, ...], reverse: bool) -> int:
-    since = bench.mark()
     containers = [bench.builder.container(each) for each in records]
-    peer.send(*(reversed(containers) if reverse else containers))
-    return since
+    return peer.stimulate(*(reversed(containers) if reverse else containers))
 
 
 def require_both_taken(bench: Bench, peer: Peer, reverse: bool) -> None:

@@ -90,9 +90,7 @@ def own_exists(bench: Bench) -> None:
 )
 def own_created_again(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     bench.wait(2)
     # The resolution of the clock may be coarser than this.
@@ -139,12 +137,9 @@ def _recreated(record: Any | None, before: int) -> Any | None:
 def ends_deletion(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Delete", varId=var_id)
-    if bench.until_instruction(_DELETE, var_id) is None:
-        bench.inconclusive("a VarDelete", "none in time")
+    bench.needed(bench.until_instruction(_DELETE, var_id), "a VarDelete")
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     done = bench.mark()
@@ -177,12 +172,9 @@ def ends_deletion(bench: Bench) -> None:
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
-    if bench.until_instruction(_UPDATE, var_id) is None:
-        bench.inconclusive("a VarUpdate", "none in time")
+    bench.needed(bench.until_instruction(_UPDATE, var_id), "a VarUpdate")
     mark = bench.mark()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     if answer.is_status(EXISTS):
@@ -252,8 +244,7 @@ def request_ended(bench: Bench) -> None:
         bench.beacons(1)
         since = peer.stimulate(peer.summary(var_id, 1))
         bench.must("RTDB-Create", **create_request(bench, var_id))
-        bench.require_alive("a summary and RTDB-Create")
-        bench.beacons(1, 1.5)
+        bench.require_processed("a summary and RTDB-Create")
         late = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
         if not late:
             break

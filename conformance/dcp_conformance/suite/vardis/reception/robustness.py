@@ -196,8 +196,7 @@ def cut_off(bench: Bench) -> None:
         peer.send(Block(BP_PROTID_VARDIS, whole[:size]))
         if size % 16 == 0:
             bench.until(bool, 1.5)
-    bench.require_alive("truncated payloads", "VD-ROB-01")
-    bench.beacons(1, 1.5)
+    bench.require_processed("truncated payloads", "VD-ROB-01")
     kept = bool(bench.instructions(ICType.REQUEST_VARCREATES, first, since))
     bench.info(
         "Which containers of a truncated payload are processed?",

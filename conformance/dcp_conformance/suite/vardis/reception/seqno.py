@@ -123,8 +123,7 @@ def compared(bench: Bench, what: tuple[Question, Distance, int]) -> None:
     if kind is not None:
         wanted = {each.spec.var_id for each in creates}
         bench.until(lambda heard: wanted <= {each.var_id for each in heard.instructions(kind)}, bench.sut.reaction)
-    bench.require_alive("the records")
-    bench.beacons(1, 1.5)
+    bench.require_processed("the records")
     for create in creates:
         var_id, stored = create.spec.var_id, create.upd.seqno
         name = f"stored sequence number {stored}, received {stepped(bench, stored, step)}"
@@ -154,8 +153,7 @@ def half_the_range(bench: Bench) -> None:
     heard: dict[str, str] = {}
     for name, question in {"VarUpdate": UPDATE, "summary": SUMMARY, "VarReqUpdate": REQUEST}.items():
         creates, since = _ask(bench, question, HALF)
-        bench.require_alive(f"a {name} half the number space away")
-        bench.beacons(1, 1.5)
+        bench.require_processed(f"a {name} half the number space away")
         # Of the seven stored numbers, an implementation without circular comparison treats some as older and some as
         # newer.
         kinds = []

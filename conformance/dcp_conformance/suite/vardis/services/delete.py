@@ -85,8 +85,7 @@ def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
-    if bench.until_instruction(ICType.UPDATES, var_id) is None:
-        bench.inconclusive("a VarUpdate of the variable", "none in time")
+    bench.needed(bench.until_instruction(ICType.UPDATES, var_id), "a VarUpdate of the variable")
     _check_deletion(bench, var_id, count)
 
 
@@ -106,8 +105,7 @@ def counted_again(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count)
     bench.must("RTDB-Delete", varId=var_id)
     for _ in range(2):
-        if bench.until_instruction(_D, var_id) is None:
-            bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+        bench.needed(bench.until_instruction(_D, var_id), "a VarDelete of the variable, which this case needs")
     created_again(bench, var_id, rep_cnt=count)
     if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
         bench.inconclusive("a VarCreate of the new creation, which this case needs", "none in time")

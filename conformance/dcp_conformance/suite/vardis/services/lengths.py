@@ -151,8 +151,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
             held = ask(bench, var_id)
             bench.equal(held.record and held.record.upd, record, "the VarUpdate unchanged in the database")
         return
-    bench.require_alive("the VarUpdate")
-    bench.beacons(1, 1.5)
+    bench.require_processed("the VarUpdate")
     found = traces(bench, var_id, since)
     if bench.profile.spec_version < refused:
         bench.info(
@@ -251,7 +250,6 @@ def length_of_received_text(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
     bench.identifiers.created.add(var_id)
     peer.send(peer.create(var_id, descr=descr, value=b"v", exact=True))
-    bench.require_alive("the VarCreate")
-    bench.beacons(1, 1.5)
+    bench.require_processed("the VarCreate")
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
     bench.none(found, f"a VarCreate with a description of {len(descr)} octets is ignored")

@@ -65,8 +65,7 @@ def received(bench: Bench, limits: Limits) -> None:
             what = f"a VarCreate with a value of {value} octets and a description of {description}"
             wrong = ("VD-PC-04", "VD-PC-05") if not requirement else (requirement,)
             if requirement:
-                bench.require_alive(what)
-                bench.beacons(1, 1.5)
+                bench.require_processed(what)
                 found = bench.instructions(ICType.CREATE_VARIABLES, record.spec.var_id)
                 bench.none(found, f"{what} is ignored", *wrong)
             else:

@@ -60,8 +60,7 @@ def on_and_off(bench: Bench) -> None:
 )
 def no_payloads(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
-    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
-        bench.inconclusive("beacons with VarDis payloads", "none in time")
+    bench.needed(bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "beacons with VarDis payloads")
     with bench.services.deactivated("VD"):
         mark = bench.mark()
         bench.wait(6)

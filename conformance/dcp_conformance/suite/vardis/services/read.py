@@ -319,9 +319,7 @@ def _single_client(bench: Bench) -> str | None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"), when=_single_client),
 )
 def two_clients(bench: Bench) -> None:
-    second = bench.services.upper.another()
-    if second is None:
-        bench.inconclusive("a second connection", "none available")
+    second = bench.needed(bench.services.upper.another(), "a second connection", "none available")
     try:
         clients = (bench.services.upper, second)
         mine = bench.identifiers.own_var_id(), bench.identifiers.own_var_id()
