@@ -15,6 +15,7 @@ from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.services import created_again, described, several_repetitions
 from dcp_conformance.test_steps.timeouts import (
     Change,
+    check_not_kept,
     check_time,
     create_own,
     deleted,
@@ -57,22 +58,7 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     variants={"the-same-VarCreate": lambda _, record: record, "an-earlier-VarCreate": _earlier},
 )
 def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreate]) -> None:
-    shorten_scrubbing(bench)
-    peer, timeout_ms = bench.peer(), 500
-    record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.identifiers.var_ids(2))
-    name = record.spec.var_id
-    since = sent(bench, peer, record, silent)
-    deadline = since.after + latest(bench, timeout_ms)
-    while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.waiting.wait_ns(150 * MS)
-        if not bench.instructions(_DELETE, name):
-            peer.send(make(peer, record))
-    found = bench.instructions(_DELETE, name)
-    if not found and not bench.instructions(_DELETE, silent.spec.var_id):
-        not_by_consumers(bench, name)
-        return
-    bench.required(found, "a VarDelete of the variable, as of the one without further VarCreates")
-    check_time(bench, found[0], since, timeout_ms)
+    check_not_kept(bench, lambda peer, record: peer.send(make(peer, record)), "VarCreates")
 
 
 @case(

@@ -13,6 +13,7 @@ from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
+    check_not_kept,
     check_time,
     create_own,
     deleted,
@@ -150,22 +151,7 @@ def _check_in_time(bench: Bench, slowest: int, timeout_ms: int, early: Sequence[
     },
 )
 def not_kept(bench: Bench, act: Callable[[Peer, int], object]) -> None:
-    shorten_scrubbing(bench)
-    peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
-    creates = (peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))
-    since = sent(bench, peer, *creates)
-    deadline = since.after + latest(bench, timeout_ms)
-    while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.waiting.wait_ns(150 * MS)
-        if not bench.instructions(_DELETE, name):
-            act(peer, name)
-    found = bench.instructions(_DELETE, name)
-    if not found and not bench.instructions(_DELETE, silent):
-        # If only producers scrub (X26), this cannot be tested.
-        not_by_consumers(bench, name)
-        return
-    bench.required(found, "a VarDelete of the variable, as of the one without further records")
-    check_time(bench, found[0], since, timeout_ms)
+    check_not_kept(bench, lambda peer, record: act(peer, record.spec.var_id), "records")
 
 
 @case(
