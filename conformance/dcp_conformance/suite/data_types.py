@@ -26,6 +26,7 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.test_steps.services import (
     Moment,
+    binary_identifiers,
     create_request,
     longest_description,
     safety_data,
@@ -267,10 +268,7 @@ def _trailing(bench: Bench, heard: ReceivedBeacon) -> bytes:
     requirements="DATA-04",
     stimulus="a beacon with the summary of an unknown variable and a special senderId: {variant}",
     expect="a request for the variable",
-    needs=Needs(
-        header=("senderId",),
-        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
-    ),
+    needs=Needs(header=("senderId",), when=binary_identifiers),
     variants={
         "zeros": lambda own: bytes(len(own)),
         "ones": lambda own: b"\xff" * len(own),

@@ -218,23 +218,26 @@ class BPClient:
             self.bench.inconclusive("a submitted payload, which this case needs", str(answer))
         return answer
 
-    def submit(self, count: int, size: int = 12, *, at_once: bool = True, must: bool = True) -> list[bytes]:
-        """Submit ``count`` new payloads in succession and return them.
+    def submit(self, count: int, size: int = 12, *, must: bool = True) -> list[bytes]:
+        """Submit ``count`` new payloads between two beacons and return them. ``must``: see :meth:`transmit`."""
+        what = f"submission of {count} payloads"
+        return self.submit_between(what, lambda: [self.payload(size) for _ in range(count)], must=must)[1]
 
-        ``at_once``: between two beacons, see :func:`~dcp_conformance.test_steps.beacon_gaps.between_beacons`.
-        ``must``: see
-        :meth:`transmit`.
+    def submit_between(
+        self, what: str, make: Callable[[], list[bytes]], *, must: bool = True
+    ) -> tuple[int, list[bytes]]:
+        """Submit payloads between two beacons; return the mark before them and the payloads.
+
+        See :func:`~dcp_conformance.test_steps.beacon_gaps.between_beacons`; ``make`` is called for each attempt.
         """
 
-        def act() -> list[bytes]:
-            payloads = [self.payload(size) for _ in range(count)]
+        def act() -> tuple[int, list[bytes]]:
+            start, payloads = self.bench.mark(), make()
             for payload in payloads:
                 self.transmit(payload, must=must)
-            return payloads
+            return start, payloads
 
-        if count == 1 or not at_once:
-            return act()
-        return between_beacons(self.bench, f"submission of {count} payloads", act, self.in_frame)
+        return between_beacons(self.bench, what, act, self.in_frame)
 
     def number(self) -> int | None:
         """Return the number in BP-QueryNumberBufferedPayloads; None if the answer has none."""

@@ -262,6 +262,11 @@ def holds_two_octets(bench: Bench) -> str | None:
     return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}; the case needs 2"
 
 
+def binary_identifiers(bench: Bench) -> str | None:
+    """Return why a case about the octets of node identifiers does not apply, or None."""
+    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
+
+
 def count_of(bench: Bench, name: str) -> int:
     """Return the number of repetitions that a variant names: a number, or ``most``."""
     return max_repetitions(bench) if name == "most" else min(int(name), max_repetitions(bench))

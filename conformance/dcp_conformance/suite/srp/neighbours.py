@@ -14,6 +14,7 @@ from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, entered
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import (
+    binary_identifiers,
     nanoseconds,
     neighbour,
     neighbours,
@@ -39,10 +40,6 @@ _SIXTEEN_BITS = 1 << 16
 
 def _scaled(bench: Bench, milliseconds: int) -> int:
     return round(milliseconds * bench.session.timing_scale)
-
-
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
 
 
 # -- timeouts ----------------------------------------------------------------------------------------------------------
@@ -170,7 +167,7 @@ def entered_again(bench: Bench, seqno: int) -> None:
     stimulus="records of two nodes whose identifiers differ in octet {variant} only, and of one as close to the node",
     expect="an entry of each with its own record",
     window=8,
-    needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), when=_binary),
+    needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), when=binary_identifiers),
     variants={f"{place}": place for place in range(6)},
 )
 def alike(bench: Bench, place: int) -> None:

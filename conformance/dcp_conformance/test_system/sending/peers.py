@@ -18,33 +18,26 @@ from .records import CreationFields, Records
 from .transmission import Transmission
 
 
+@dataclass(eq=False)
 class Peer:
     """A virtual node. ``node_id``: its identifier in beacons; ``address``: the source address of its frames."""
 
-    def __init__(
-        self,
-        node_id: bytes,
-        address: bytes,
-        transmission: Transmission,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-        waiting: Waiting,
-    ) -> None:
-        self.node_id = node_id
-        self.address = address
-        self.seqno = sut.profile.behaviour.first_beacon_seqno
+    node_id: bytes
+    address: bytes
+    _transmission: Transmission
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _waiting: Waiting
+
+    def __post_init__(self) -> None:
+        self.seqno = self._sut.profile.behaviour.first_beacon_seqno
         """The sequence number of its next beacon."""
-        self._transmission = transmission
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self._waiting = waiting
-        self.update = records.update
-        self.delete = records.delete
-        self.summary = records.summary
-        self.request_update = records.request_update
-        self.request_create = records.request_create
+        self.update = self._records.update
+        self.delete = self._records.delete
+        self.summary = self._records.summary
+        self.request_update = self._records.request_update
+        self.request_create = self._records.request_create
 
     def send(
         self,

@@ -34,6 +34,7 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.services import binary_identifiers
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.judgement.matchers import part_of
 from dcp_conformance.test_system.sending.peers import Peer
@@ -454,12 +455,7 @@ def broken_by(head: bytes, right: bytes) -> Iterator[str]:
     requirements="DATA-04",
     stimulus="a beacon with a block for a client and a special senderId: {variant}",
     expect="an indication of the block",
-    needs=Needs(
-        entities=(),
-        ut=CLIENT,
-        header=("senderId",),
-        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
-    ),
+    needs=Needs(entities=(), ut=CLIENT, header=("senderId",), when=binary_identifiers),
     variants={
         "zeros": lambda own: bytes(len(own)),
         "ones": lambda own: b"\xff" * len(own),

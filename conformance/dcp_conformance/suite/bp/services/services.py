@@ -175,7 +175,9 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
 def empty_payload_for_queue(bench: Bench) -> None:
     with BPClient(bench, QueueingMode.QUEUE) as client:
         start = bench.mark()
-        payloads = client.submit(4, at_once=False)
+        payloads = [client.payload() for _ in range(4)]
+        for payload in payloads:
+            client.transmit(payload)
         bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)

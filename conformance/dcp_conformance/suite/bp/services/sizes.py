@@ -9,7 +9,6 @@ from dcp_spec.constants import BP_MAX_PAYLOADS, BP_SEQNO_MODULUS, QueueingMode, 
 from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
-from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     DEREGISTER,
@@ -176,18 +175,11 @@ def many_senders(bench: Bench) -> None:
 )
 def equal_payloads(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode, entries=4) as client:
-        start, payloads = 0, [client.payload(), client.payload()]
-
-        def act() -> None:
-            nonlocal start
-            start = bench.mark()
-            for each in (0, 0, 1, 1):
-                client.transmit(payloads[each])
-
-        between_beacons(bench, "submission of four payloads", act, client.in_frame)
+        payloads = [client.payload(), client.payload()]
+        right = [payloads[each] for each in (0, 0, 1, 1)]
+        start, _ = client.submit_between("submission of four payloads", lambda: right)
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
-        right = [payloads[each] for each in (0, 0, 1, 1)]
         bench.in_order(sent, right, "payloads A, A, B, B", seen=listed(sent, payloads))
 
 

@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import longest_description, max_repetitions, teach_variable
+from dcp_conformance.test_steps.services import binary_identifiers, longest_description, max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, modulus, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -30,10 +30,6 @@ def _held(bench: Bench, var_id: int, record: VarCreate, what: str, *requirements
 # -- forwarded unchanged -----------------------------------------------------------------------------------------------
 
 _Make = Callable[[Bench, Peer, int], VarCreate]
-
-
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
 
 
 def _plain(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG001
@@ -91,8 +87,8 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
         "largest": Variant(_largest),
         "smallest": Variant(_smallest),
         "far-producer": Variant(_umlauts),
-        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
-        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=binary_identifiers)),
+        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=binary_identifiers)),
         "timeout": Variant(_with_timeout, requirements="VD-PC-10 VD-TYP-04 VD-TYP-06", needs=_V2_0),
     },
 )

@@ -18,10 +18,7 @@ from dcp_conformance.suite.bp.beacons.receive import check_processed
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.pacing import paced
-from dcp_conformance.test_steps.services import (
-    OK,
-    create_request,
-)
+from dcp_conformance.test_steps.services import OK, binary_identifiers, create_request
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_system.bench import Bench
 
@@ -144,10 +141,6 @@ def much_later(bench: Bench, seconds: int | None) -> None:
     bench.until_instruction(_DELETE, name)
 
 
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
-
-
 @case(
     "TC_VD_ID_BV_03",
     "A producer whose identifier differs in one octet from the own one is another node (octet {variant})",
@@ -155,7 +148,7 @@ def _binary(bench: Bench) -> str | None:
     stimulus="VarCreate and VarUpdate of a variable whose producer differs in octet {variant} from the implementation",
     expect="both are forwarded",
     window=10,
-    needs=Needs(when=_binary),
+    needs=Needs(when=binary_identifiers),
     variants={f"{place}": place for place in range(6)},
 )
 def nearly_own(bench: Bench, place: int) -> None:
