@@ -38,10 +38,6 @@ _DAMAGED, _BURST = 12, 90
 _SIXTEEN_BITS = 1 << 16
 
 
-def _scaled(bench: Bench, milliseconds: int) -> int:
-    return round(milliseconds * bench.session.timing_scale)
-
-
 # -- timeouts ----------------------------------------------------------------------------------------------------------
 
 
@@ -103,7 +99,7 @@ _TIMEOUTS: dict[str, tuple[int, ...]] = {"lowered": (3000, 400), "raised": (400,
     variants=_TIMEOUTS,
 )
 def changed_timeout(bench: Bench, values: tuple[int, ...]) -> None:
-    first, *others = (_scaled(bench, each) for each in values)
+    first, *others = (round(each * bench.session.timing_scale) for each in values)
     with parameters_set(bench, "SRP", **{TIMEOUT: first}):
         peer, begun = entered(bench)
         for value in others:

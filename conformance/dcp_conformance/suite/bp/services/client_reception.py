@@ -86,10 +86,6 @@ class _Fault:
     since: SpecVersion = SpecVersion.V1_0
 
 
-def _other_network(bench: Bench) -> int:
-    return int(bench.sut.parameter("BPPAR_NETWORK_ID")) ^ 1
-
-
 _FAULTS: dict[str, _Fault] = {
     "version": _Fault("a beacon with another version", "BP-RX-01", "version", lambda _: {"bp.version": 2}),
     "magic": _Fault("a beacon with another magicNo", "BP-RX-02", "magicNo", lambda _: {"bp.magicNo": 0x497F}),
@@ -99,7 +95,7 @@ _FAULTS: dict[str, _Fault] = {
         "a beacon with another networkId",
         "BP-RX-05",
         "networkId",
-        lambda bench: {"bp.networkId": _other_network(bench)},
+        lambda bench: {"bp.networkId": bench.sut.parameter("BPPAR_NETWORK_ID") ^ 1},
         V2_0,
     ),
 }

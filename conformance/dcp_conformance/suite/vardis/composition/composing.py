@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
@@ -284,11 +284,7 @@ def update_waits(bench: Bench) -> None:
     bench.learn(peer, waiting)
     mark = bench.mark()
     peer.send(peer.request_update(waiting.spec.var_id, 8), *(peer.request_create(each.spec.var_id) for each in creates))
-
-    def busy(heard: ReceivedBeacon) -> bool:
-        return bool(heard.instructions(_CREATE) or heard.instructions(_UPDATE))
-
-    frames = bench.until_quiet(busy, since=mark)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_CREATE) or heard.instructions(_UPDATE), since=mark)
     bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
     limit = bench.sut.bound(PAYLOAD_SIZE)
     largest = max([len(bench.codec.encode_containers(each.containers)) for each in frames], default=0)

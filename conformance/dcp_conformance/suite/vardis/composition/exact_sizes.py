@@ -163,11 +163,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
 def until_all(bench: Bench, creates: Sequence[VarCreate]) -> ReceivedBeacon | None:
     """Wait for a beacon with VarCreates of all these variables."""
     wanted = {each.spec.var_id for each in creates}
-
-    def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
-        return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
-
-    return bench.until(has_all)
+    return bench.until(lambda heard: heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None)
 
 
 def _never_fits(bench: Bench) -> str | None:

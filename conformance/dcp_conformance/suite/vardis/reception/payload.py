@@ -219,11 +219,7 @@ def request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]
 def all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> list[ReceivedBeacon]:
     """Wait for records about all the variables; return the frames with them."""
     wanted = {each.spec.var_id for each in creates}
-
-    def present(heard: ReceivedBeacon) -> bool:
-        return any(each.var_id in wanted for each in heard.instructions(kind))
-
-    frames = bench.until_quiet(present, since=mark)
+    frames = bench.until_quiet(lambda heard: wanted & {each.var_id for each in heard.instructions(kind)}, since=mark)
     came = {each.var_id for heard in frames for each in heard.instructions(kind)} & wanted
     what = f"{kind.label} records about all {len(wanted)} variables"
     bench.required(came == wanted, what, seen=f"only about {len(came)}", frames=frames[-1:])
@@ -374,7 +370,7 @@ def several_containers(bench: Bench) -> None:
     peer = bench.peer()
     peer.send_all([peer.summary(each, 1) for each in sorted(_names(bench))])
     bench.until_quiet(lambda heard: heard.instructions(ICType.REQUEST_VARCREATES), 12)
-    several = [each for each in bench.heard if _repeats_a_type(each)]
+    several = [each for each in bench.heard if len({one.ic_type for one in each.containers}) < len(each.containers)]
     text = f"{len(several)} payloads with more"
     if not bench.features.several_containers_per_type:
         bench.none(several, "one container of each type in a payload (1.0)", seen=text)
@@ -385,8 +381,3 @@ def several_containers(bench: Bench) -> None:
         bench.passed("several containers of a type in a payload, as the PICS claims", frames=several[:2])
     else:
         bench.info("Does a payload have several containers of the same type?", "yes" if several else "not observed")
-
-
-def _repeats_a_type(heard: ReceivedBeacon) -> bool:
-    types = [each.ic_type for each in heard.containers]
-    return len(types) != len(set(types))

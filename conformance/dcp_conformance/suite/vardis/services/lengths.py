@@ -35,19 +35,15 @@ def _field(bench: Bench, what: str) -> tuple[int, int]:
     return bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
 
 
-def _requirement(what: str) -> str:
-    return {"value": "VD-PC-04", "description": "VD-PC-05", "repCnt": "VD-PC-06"}[what]
-
-
 def _variants() -> dict[str, Variant]:
     found = {}
-    for what in ("value", "description", "repCnt"):
+    for what, requirement in (("value", "VD-PC-04"), ("description", "VD-PC-05"), ("repCnt", "VD-PC-06")):
         for name, (bound, allowed, since) in _BOUNDS.items():
             # Version 1.1 does not check repetition counts.
             found[f"{what}-{name}"] = Variant(
                 (what, bound, allowed, (max(since, _V1_2) if what == "repCnt" else since)),
                 purpose=f"A VarCreate is {'accepted' if allowed else 'ignored'} ({what}: {name})",
-                requirements=_requirement(what),
+                requirements=requirement,
                 stimulus=f"a VarCreate of an unknown variable ({what}: {name}; a length or count, max: the parameter)",
                 expect="it is forwarded and stored" if allowed else "no reaction; the variable remains unknown",
             )

@@ -52,16 +52,13 @@ class Refusal(NamedTuple):
 def _creation(**changes: Callable[[Bench], Any]) -> Callable[[Bench, int], dict[str, Any]]:
     def params(bench: Bench, var_id: int) -> dict[str, Any]:
         descr = bench.records.descr(b"other").decode()
-        given: dict[str, Any] = {"descr": descr, "value": b"w", "timeout": 30_000 if _has_timeouts(bench) else 0}
+        timed = bench.features.creation_time and bench.sut.longest_timeout >= 30_000
+        given: dict[str, Any] = {"descr": descr, "value": b"w", "timeout": 30_000 if timed else 0}
         return create_request(
             bench, var_id, exact=True, **given | {name: make(bench) for name, make in changes.items()}
         )
 
     return params
-
-
-def _has_timeouts(bench: Bench) -> bool:
-    return bench.features.creation_time and bench.sut.longest_timeout >= 30_000
 
 
 def _value(make: Callable[[Bench], bytes]) -> Callable[[Bench, int], dict[str, Any]]:
