@@ -91,11 +91,11 @@ def mode_exists(mode: QueueingMode) -> Callable[[Bench], str | None]:
     return when
 
 
-def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0, requirements: str | None = None) -> dict[str, Any]:
+def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> dict[str, Any]:
     """Return a variant for each queueing mode of any version."""
     return {
         mode.name.removeprefix("QUEUE_").lower(): Variant(
-            mode, requirements=requirements, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
+            mode, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
         )
         for mode in (ONCE, REPEAT, DROPTAIL, DROPHEAD, QueueingMode.QUEUE)
         if not (mode is QueueingMode.QUEUE and since > SpecVersion.V1_0)
@@ -302,9 +302,9 @@ class BPClient:
         """Return the payloads indicated to this client, from a number of notifications on."""
         return [octets_of(each) for each in indications(self.bench, RECEIVED, self.prot_id, since)]
 
-    def until_received(self, count: int = 1, periods: float | None = None) -> list[bytes]:
+    def until_received(self, count: int = 1) -> list[bytes]:
         """Wait until this client has ``count`` indications in total; return the payloads indicated."""
-        until(self.bench, lambda: len(self.received()) >= count, periods)
+        until(self.bench, lambda: len(self.received()) >= count)
         return self.received()
 
 

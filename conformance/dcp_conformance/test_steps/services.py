@@ -326,9 +326,7 @@ def srp_blocks(heard: ReceivedBeacon) -> list[bytes]:
     return heard.data(BP_PROTID_SRP)
 
 
-def until_report(
-    bench: Bench, values: dict[str, Any] | None = None, periods: float | None = None
-) -> ReceivedBeacon | None:
+def until_report(bench: Bench, values: dict[str, Any] | None = None) -> ReceivedBeacon | None:
     """Wait for a beacon with a state report with these values, or with any.
 
     Stops as inconclusive if there are only SRP payloads that cannot be decoded: TC_SRP_REC_BV_01 fails for them.
@@ -338,7 +336,7 @@ def until_report(
     def wanted(heard: ReceivedBeacon) -> bool:
         return heard.report is not None and (values is None or reported_safety_data(bench, heard.report) == values)
 
-    found = bench.until(lambda heard: heard if wanted(heard) else None, periods)
+    found = bench.until(lambda heard: heard if wanted(heard) else None)
     if found is None:
         problems = [each for heard in bench.heard[start:] for each in heard.report_problems]
         if problems:

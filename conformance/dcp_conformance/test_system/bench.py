@@ -119,6 +119,7 @@ class Bench:
         self.var_id = self.identifiers.var_id
         self.unknown_id = self.identifiers.unknown_id
         self.learn = self.teaching.learn
+        self.learnt = self.teaching.learnt
         self.call = self.services.call
         self.must = self.services.must
         self.expect_status = self.services.expect_status

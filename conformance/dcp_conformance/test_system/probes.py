@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final, NoReturn
+from typing import Final, NoReturn, Unpack
 
 from dcp_spec.constants import ICType
 
@@ -21,7 +21,7 @@ from .known import Question, RunFindings
 from .reception.receiver import Receiver
 from .reception.waiting import Waiting
 from .sending.peers import Peer, Peers
-from .sending.records import Records
+from .sending.records import CreationFields, Records
 from .sut_properties import SutProperties
 
 #: Maximum number of identifiers in a message.
@@ -135,6 +135,12 @@ class Teaching:
         self._waiting.until_quiet(present, since=start, complete=complete)
         if missing := wanted - set(forwarded()):
             self.not_learnt(missing)
+
+    def learnt(self, peer: Peer, var_id: int, **record: Unpack[CreationFields]) -> VarCreate:
+        """Teach the implementation a variable, as :meth:`learn` does, and return its VarCreate."""
+        create = peer.create(var_id, **record)
+        self.learn(peer, create)
+        return create
 
     def not_learnt(self, missing: Collection[int]) -> NoReturn:
         """Stop the case as inconclusive: it needs variables that the implementation has not learnt."""

@@ -171,8 +171,7 @@ def created_and_deleted(bench: Bench, step: int) -> None:
 )
 def slow_echo(bench: Bench) -> None:
     source, echo, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
-    create = source.create(name, rep_cnt=count)
-    bench.learn(source, create)
+    create = bench.learnt(source, name, rep_cnt=count)
     mark = source.stimulate(source.delete(name))
     # Unless it has forwarded the deletion, it may not have received it.
     deleted = bench.waiting.repeated(_DELETE, name, mark)

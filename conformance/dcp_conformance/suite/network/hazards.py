@@ -88,8 +88,7 @@ def forgotten_variable(bench: Bench) -> None:
 )
 def split(bench: Bench) -> None:
     source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
-    create = source.create(name, rep_cnt=count)
-    bench.learn(source, create)
+    create = bench.learnt(source, name, rep_cnt=count)
     mark = other.stimulate(other.delete(name))
     bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04")
     mark = source.stimulate(source.update(name, 1))
@@ -169,8 +168,7 @@ def clock_ahead(bench: Bench) -> None:
     # The variable identifier cannot be used for an hour, so it must be one that no other case uses.
     wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
     ticks = bench.profile.types.timestamp.per_second
-    ahead = wrong.create(name, value=b"ahead", creation_time=bench.records.creation_time() + 3600 * ticks)
-    bench.learn(wrong, ahead)
+    ahead = bench.learnt(wrong, name, value=b"ahead", creation_time=bench.records.creation_time() + 3600 * ticks)
     right.send(right.create(name, value=b"right"))
     bench.require_alive("a VarCreate with an older creationTime")
     record = held(bench, name)

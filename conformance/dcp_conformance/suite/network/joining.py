@@ -95,8 +95,7 @@ def catches_up(bench: Bench) -> None:
 def teaches_create(bench: Bench) -> None:
     producer, joiner = bench.peer(), bench.peer()
     name, count = bench.var_id(), bench.sut.rep_cnt(3)
-    create = producer.create(name, value=b"old", seqno=1, rep_cnt=count)
-    bench.learn(producer, create)
+    create = bench.learnt(producer, name, value=b"old", seqno=1, rep_cnt=count)
     mark = producer.stimulate(producer.update(name, 2, b"new"))
     updated = bench.waiting.repeated(_UPDATE, name, mark)
     mark = joiner.stimulate(joiner.request_create(name))

@@ -105,8 +105,7 @@ def back_to_the_tail(bench: Bench, kind: ICType) -> None:
 )
 def current_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    create = peer.create(var_id, value=b"first", seqno=3, rep_cnt=bench.sut.rep_cnt(2))
-    bench.learn(peer, create)
+    create = bench.learnt(peer, var_id, value=b"first", seqno=3, rep_cnt=bench.sut.rep_cnt(2))
     updated: list[Instruction] = []
     for number, value in ((4, b"second"), (7, b"the third")):
         mark = peer.stimulate(peer.update(var_id, number, value))
@@ -280,8 +279,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
 def update_waits(bench: Bench) -> None:
     peer, repetitions = bench.peer(), bench.sut.rep_cnt(2)
     creates = stock(bench, peer, _CREATE)
-    waiting = peer.create(bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
-    bench.learn(peer, waiting)
+    waiting = bench.learnt(peer, bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
     mark = bench.mark()
     peer.send(peer.request_update(waiting.spec.var_id, 8), *(peer.request_create(each.spec.var_id) for each in creates))
     frames = bench.until_quiet(lambda heard: heard.instructions(_CREATE) or heard.instructions(_UPDATE), since=mark)

@@ -235,8 +235,7 @@ def head_does_not_fit(bench: Bench) -> None:
 )
 def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     peer, (value, description) = bench.peer(), longest(bench)
-    create = peer.create(bench.var_id(), value=value, descr=description, seqno=9)
-    bench.learn(peer, create)
+    create = bench.learnt(peer, bench.var_id(), value=value, descr=description, seqno=9)
     lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
     bench.some(bench.until_instruction(kind, create.spec.var_id), "the record, which exactly fills a payload")

@@ -327,8 +327,7 @@ def from_all_sides(bench: Bench) -> None:
 )
 def newest_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    create = peer.create(var_id, value=b"first")
-    bench.learn(peer, create)
+    create = bench.learnt(peer, var_id, value=b"first")
     peer.send(peer.update(var_id, 1, b"newer"))
     updated = bench.until_instruction(UPDATES, var_id)
     for what in ("after the update", "after a VarCreate with the first value"):

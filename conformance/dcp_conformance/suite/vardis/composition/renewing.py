@@ -62,8 +62,7 @@ _IGNORED: dict[str, _Made | Variant] = {
 )
 def not_renewed(bench: Bench, make: _Made) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    record = peer.create(var_id, seqno=5)
-    bench.learn(peer, record)
+    record = bench.learnt(peer, var_id, seqno=5)
     before = _stamp(bench, var_id)
     bench.wait(2)
     peer.send(make(record, peer, stepped(bench, 5, -1)))

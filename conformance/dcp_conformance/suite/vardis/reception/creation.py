@@ -123,8 +123,7 @@ def unchanged(bench: Bench, make: _Make) -> None:
 )
 def replaced(bench: Bench) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
-    first = peer.create(var_id, seqno=9)
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, seqno=9)
     count = min(2, max_repetitions(bench))
     second = other.create(var_id, value=b"other", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1)
     bench.records.creation_time()
@@ -156,8 +155,7 @@ _Offset = Callable[[int], int]
 )
 def not_replaced(bench: Bench, offset: _Offset) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    first = peer.create(var_id, value=b"first")
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, value=b"first")
     other = bench.peer()
     since = other.stimulate(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
     bench.require_processed("a VarCreate that is not later")
@@ -320,8 +318,7 @@ def two_identifiers(bench: Bench) -> None:
 )
 def known_in_1_x(bench: Bench) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
-    first = peer.create(var_id, value=b"first")
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, value=b"first")
     since = bench.mark()
     for each in (peer, other):
         each.send(each.create(var_id, value=b"next", seqno=stepped(bench, 0, 1)))

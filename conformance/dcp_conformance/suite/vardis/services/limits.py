@@ -71,8 +71,7 @@ def received(bench: Bench, limits: Limits) -> None:
             else:
                 sent_on = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
                 bench.some(sent_on, f"{what} is forwarded", *wrong)
-        known = peer.create(bench.unknown_id(), value=b"v", descr=b"d")
-        bench.learn(peer, known)
+        known = bench.learnt(peer, bench.unknown_id(), value=b"v", descr=b"d")
         name = known.spec.var_id
         peer.send(peer.update(name, 1, b"v" * limits.value, exact=True))
         stored = bench.until_instruction(ICType.UPDATES, name)

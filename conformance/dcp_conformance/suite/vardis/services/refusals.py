@@ -216,8 +216,7 @@ def counters(bench: Bench, name: str) -> None:
 )
 def counters_restarted(bench: Bench, pending: Callable[[Peer, int], Any]) -> None:
     peer, var_id, count = bench.peer(), bench.var_id(), max_repetitions(bench)
-    first = peer.create(var_id, seqno=1, rep_cnt=count)
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, seqno=1, rep_cnt=count)
     assert first.spec.creation_time is not None
     second = peer.create(var_id, seqno=9, rep_cnt=count, creation_time=first.spec.creation_time + 1)
     bench.records.creation_time()

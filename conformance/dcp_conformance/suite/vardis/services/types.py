@@ -219,8 +219,7 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
 )
 def entry_of_received(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.sut.rep_cnt(2))
-    bench.learn(peer, record)
+    record = bench.learnt(peer, var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.sut.rep_cnt(2))
     entry, spec = _entry(bench, var_id), record.spec
     expected: dict[str, Any] = {
         "varId": var_id,
