@@ -221,11 +221,16 @@ class BPClient:
     def submit(self, count: int, size: int = 12, *, must: bool = True) -> list[bytes]:
         """Submit ``count`` new payloads between two beacons and return them. ``must``: see :meth:`transmit`."""
         what = f"submission of {count} payloads"
-        return self.submit_between(what, lambda: [self.payload(size) for _ in range(count)], must=must)[1]
+        return between_beacons(self.bench, what, lambda: self.transmit_new(count, size, must=must), self.in_frame)
 
-    def submit_between(
-        self, what: str, make: Callable[[], list[bytes]], *, must: bool = True
-    ) -> tuple[int, list[bytes]]:
+    def transmit_new(self, count: int, size: int = 12, *, must: bool = True) -> list[bytes]:
+        """Submit ``count`` new payloads in succession and return them. ``must``: see :meth:`transmit`."""
+        payloads = [self.payload(size) for _ in range(count)]
+        for payload in payloads:
+            self.transmit(payload, must=must)
+        return payloads
+
+    def submit_between(self, what: str, make: Callable[[], list[bytes]]) -> tuple[int, list[bytes]]:
         """Submit payloads between two beacons; return the mark before them and the payloads.
 
         See :func:`~dcp_conformance.test_steps.beacon_gaps.between_beacons`; ``make`` is called for each attempt.
@@ -234,7 +239,7 @@ class BPClient:
         def act() -> tuple[int, list[bytes]]:
             start, payloads = self.bench.mark(), make()
             for payload in payloads:
-                self.transmit(payload, must=must)
+                self.transmit(payload)
             return start, payloads
 
         return between_beacons(self.bench, what, act, self.in_frame)

@@ -153,8 +153,7 @@ def told_of_sent_only(bench: Bench, full: _Full) -> None:
         def act() -> None:
             nonlocal since
             since = len(indications(bench, TRANSMITTED, client.prot_id))
-            for _ in range(3):
-                client.transmit(client.payload())
+            client.transmit_new(3)
             if full.clears:
                 bench.must(CLEAR, protId=client.prot_id)
 

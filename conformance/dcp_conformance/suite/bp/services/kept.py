@@ -238,8 +238,7 @@ def told_of_several(bench: Bench) -> None:
         def act() -> None:
             nonlocal start, told
             start, told = bench.mark(), len(indications(bench, TRANSMITTED, client.prot_id))
-            for _ in range(4):
-                client.transmit(client.payload())
+            client.transmit_new(4)
 
         between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.until_quiet(client.in_frame, since=start)
