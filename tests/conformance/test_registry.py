@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.registry import Registry
+from dcp_conformance.model.case import case
+from dcp_conformance.model.registry import Registry, define, defined_in
 
 
 class Entry(NamedTuple):
@@ -39,6 +41,33 @@ def test_entries_are_ordered_by_module_and_place(registry):
     assert [each.id for each in found.select(["T_?"])] == ["T_3-x", "T_3-y", "T_2", "T_1"] == list(found.all())
     assert len(found.select([])) == 4
     assert found.get("T_2") == Entry("T_2")
+
+
+def test_a_function_defines_entries_of_all_its_decorators_in_their_order():
+    module = ModuleType("stacked")
+
+    def body() -> None: ...
+
+    body.__module__ = module.__name__
+    module.body = define(define(body, [Entry("T_2")]), [Entry("T_1")])
+    assert list(defined_in(module)) == [Entry("T_1"), Entry("T_2")]
+
+
+def test_the_body_of_a_case_gets_the_value_of_its_decorator():
+    made, module = [], ModuleType(__name__)
+    texts = {"requirements": "VD-PS-01", "stimulus": "a summary", "expect": "a request"}
+
+    @case("TC_VD_STACK_BV_03", "A value", value=4, **texts)
+    @case("TC_VD_STACK_BV_04", "Another value", value=5, **texts)
+    def body(bench, value) -> None:
+        made.append((bench, value))
+
+    module.body = body
+    found = list(defined_in(module))
+    for each in found:
+        each.run("bench")
+    assert [each.id for each in found] == ["TC_VD_STACK_BV_03", "TC_VD_STACK_BV_04"]
+    assert made == [("bench", 4), ("bench", 5)]
 
 
 def test_an_identifier_twice_names_both_places(registry):

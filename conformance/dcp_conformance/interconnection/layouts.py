@@ -80,8 +80,7 @@ def _accepts_creations(bench: Bench) -> tuple[bool, bool]:
 
 def _own_records(bench: Bench) -> str:
     """Describe a fault in the layout of the implementation's own VarCreate; empty if it has none, or none came."""
-    upper = bench.session.upper
-    if upper is None or _CREATE not in upper.methods or not bench.identifiers.has_unknown_ids():
+    if not bench.services.offers(_CREATE) or not bench.identifiers.has_unknown_ids():
         return ""
     with suppress(UpperTesterError):
         var_id = bench.identifiers.own_var_id()
@@ -149,9 +148,8 @@ def stores_reports(bench: Bench) -> bool:
 
 def _reports(bench: Bench) -> str:
     """Describe a fault of the implementation's state reports if it stores none of the tester's; empty otherwise."""
-    upper = bench.session.upper
     layout = bench.profile.srp.safety_data
-    if upper is None or not {_TABLE, _UPDATE} <= upper.methods or bench.sut.pics.srp is False:
+    if not bench.services.offers(_TABLE, _UPDATE) or bench.sut.pics.srp is False:
         return ""
     if not bench.profile.srp.is_report or any(each.type == "opaque" for each in layout):
         return ""

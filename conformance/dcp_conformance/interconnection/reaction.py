@@ -99,8 +99,7 @@ def notification_delay(bench: Bench) -> int:
     It includes the time in which a received frame is processed. Without BP-ReceivePayload.indication, this takes a
     second. Raises ``LowerTesterError``.
     """
-    upper = bench.session.upper
-    if upper is None or not set(CLIENT) <= upper.methods:
+    if not bench.services.offers(*CLIENT):
         return 0
     longest = 0
     try:

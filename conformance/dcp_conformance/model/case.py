@@ -187,6 +187,7 @@ def case(
     window: float = 4,
     needs: Needs = Needs(),
     variants: Mapping[str, Any] | None = None,
+    value: Any = None,
     destructive: bool = False,
     robustness: bool = False,
     long: bool = False,
@@ -195,6 +196,7 @@ def case(
 ) -> Callable[[_Body], _Body]:
     """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
 
+    A body may have several of these decorators; with ``value``, the case is one of ``body(bench, value)``.
     ``requirements`` are ids separated by spaces; with variants, ``purpose``, ``stimulus`` and ``expect`` may contain
     ``{variant}``, and a value may be a :class:`Variant`. ``window`` is in beacon periods. Raises
     ``ValueError`` for an identifier of another form and ``UnknownRequirementError`` for an id that the catalogue does
@@ -231,11 +233,11 @@ def case(
                 line=body.__code__.co_firstlineno,
             )
 
-        cases = [build("", body)] if variants is None else []
-        for name, value in (variants or {}).items():
+        cases = [build("", body if value is None else lambda bench: body(bench, value))] if variants is None else []
+        for name, given in (variants or {}).items():
             if not _VARIANT.fullmatch(name):
                 raise ValueError(f"{identifier}: {name!r} cannot be the name of a variant")
-            own = value if isinstance(value, Variant) else Variant(value)
+            own = given if isinstance(given, Variant) else Variant(given)
 
             def bound(bench: Bench, value: Any = own.value) -> None:
                 body(bench, value)

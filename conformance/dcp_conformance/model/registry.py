@@ -31,8 +31,11 @@ Defined = TypeVar("Defined")
 
 
 def define(body: Defined, entries: Sequence[Identified]) -> Defined:
-    """Make a function or class define entries of its module: the end of a decorator."""
-    setattr(body, _ATTRIBUTE, tuple(entries))
+    """Make a function or class define entries of its module, before those that it defines already.
+
+    This is the end of a decorator, of which a function may have several.
+    """
+    setattr(body, _ATTRIBUTE, (*entries, *vars(body).get(_ATTRIBUTE, ())))
     return body
 
 

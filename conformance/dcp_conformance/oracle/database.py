@@ -124,9 +124,9 @@ class VardisModel(Oracle):
         """Process the records of a payload that a node received at ``time`` or shortly after."""
         if not self.active:
             for record in records:
-                self.why[_var_id(record)] = ("VD-MGT-03",)
+                self.why[var_id_of(record)] = ("VD-MGT-03",)
             return
-        ids = {_var_id(record) for record in records}
+        ids = {var_id_of(record) for record in records}
         for var_id in ids:
             # A record may renew or delete it.
             self._passed.pop(var_id, None)
@@ -137,7 +137,7 @@ class VardisModel(Oracle):
             super().hear((each,), time, frame)
         self._order.next_record(None)
         for record in records:
-            var_id, kind = _var_id(record), record.IC_TYPE
+            var_id, kind = var_id_of(record), record.IC_TYPE
             if kind in _TAKEN and not self._variable(var_id).uncertain:
                 changed = self._variable(var_id).now is not before[var_id]
                 self.why[var_id] = _TAKEN[kind] if changed else _refusal(record, self.own_id, self._limits)
@@ -494,7 +494,7 @@ class VardisModel(Oracle):
             if kind is None:
                 continue
             groups.setdefault(kind, []).extend(container.records)
-            records += [(kind, each) for each in container.records if _var_id(each) in self.mine]
+            records += [(kind, each) for each in container.records if var_id_of(each) in self.mine]
         kinds = [each for each in self._features.container_order if each in groups]
         if list(groups) != kinds:
             which = "VD-PAY-01" if self._features.version >= SpecVersion.V1_1 else "VD-PAY-07"
@@ -503,7 +503,7 @@ class VardisModel(Oracle):
         if len(groups.get(_SUMMARIES, ())) > summaries:
             yield Finding(("VD-CMP-02",), f"at most {summaries} summaries", str(len(groups[_SUMMARIES])))
         for kind, found in groups.items():
-            ids = [_var_id(each) for each in found]
+            ids = [var_id_of(each) for each in found]
             if len(set(ids)) < len(ids) and self.mine.intersection(ids):
                 twice = next(each for each in ids if ids.count(each) > 1)
                 yield Finding(("VD-PAY-03",), f"variable {twice} once in {kind.label}", "twice")
@@ -522,7 +522,7 @@ class VardisModel(Oracle):
                 yield from self._missing(groups, free, since, causes if self._whole else {})
                 yield from self._unsummarised(groups.get(_SUMMARIES, ()), free, since)
         for kind, record in records:
-            var_id = _var_id(record)
+            var_id = var_id_of(record)
             if kind is _DELETES:
                 now = self._variable(var_id).now
                 version, _, count = self._told.get(var_id, (now, 0, 0))
@@ -537,7 +537,7 @@ class VardisModel(Oracle):
         found: dict[int, int] = {}
         for container in containers:
             for record in container.records:
-                for each in self._owed.get(_var_id(record), ()) if record.IC_TYPE is not None else ():
+                for each in self._owed.get(var_id_of(record), ()) if record.IC_TYPE is not None else ():
                     if each.kind is record.IC_TYPE and each.kind in (_CREATE_REQUESTS, _DELETES):
                         found[each.cause] = max(found.get(each.cause, each.time), each.time)
         return found
@@ -546,18 +546,18 @@ class VardisModel(Oracle):
         """Return the variables of which a payload shows the present version, and no earlier one."""
         found = set[int]()
         for record in (each for container in containers for each in container.records):
-            variable = self.variables.get(_var_id(record))
+            variable = self.variables.get(var_id_of(record))
             if variable is None or variable.uncertain or not 1 < len(variable.versions) < VERSIONS:
                 continue
             kind = record.IC_TYPE
-            if self._whole and kind and variable.now.since == self._asked.get((kind, _var_id(record))):
+            if self._whole and kind and variable.now.since == self._asked.get((kind, var_id_of(record))):
                 # The reason to ask, and the change of the variable, came at the same time.
-                found.add(_var_id(record))
+                found.add(var_id_of(record))
             if kind not in (_SUMMARIES, _UPDATES, _CREATES):
                 continue
             *earlier, now = variable.versions
             if self._shows(record, now) and not any(self._shows(record, each) for each in earlier):
-                found.add(_var_id(record))
+                found.add(var_id_of(record))
         return found
 
     def _shows(self, record: VardisRecord, version: Version) -> bool:
@@ -595,7 +595,7 @@ class VardisModel(Oracle):
         """Judge the order of the records of each container, and of those that it lacks."""
         self._order.next_payload(since)
         for kind, records in groups.items():
-            ids = [var_id for each in records if (var_id := _var_id(each)) in self.mine]
+            ids = [var_id for each in records if (var_id := var_id_of(each)) in self.mine]
 
             def queued(var_id: int, since: int, kind: ICType = kind) -> bool:
                 variable = self.variables.get(var_id)
@@ -636,7 +636,7 @@ class VardisModel(Oracle):
             variable, there = self.variables[var_id], groups.get(kind, ())
             if var_id not in self.mine or variable.uncertain or variable.due != NEVER:
                 continue
-            if any(_var_id(each) == var_id for each in there) or len(there) >= 255:
+            if any(var_id_of(each) == var_id for each in there) or len(there) >= 255:
                 continue
             shown = due.cause and causes.get(due.cause) == max(due.time, variable.settled)
             if (max(due.time, variable.settled) + self.late >= since and not shown) or self._needs(kind) > free:
@@ -660,7 +660,7 @@ class VardisModel(Oracle):
         if len(there) >= self.room.summaries or self._needs(_SUMMARIES) > free:
             self._absent.clear()
             return
-        ids = {_var_id(each) for each in there}
+        ids = {var_id_of(each) for each in there}
         for var_id in self.mine:
             variable = self.variables.get(var_id)
             if variable is None or var_id in ids or variable.now.state != "alive":
@@ -737,7 +737,7 @@ class VardisModel(Oracle):
 
     def event_of(self, kind: str, record: VardisRecord) -> str:
         """A name of what a record says compared with what the node holds, for statistics. ``kind`` begins it."""
-        variable = self.variables.get(_var_id(record)) or Variable()
+        variable = self.variables.get(var_id_of(record)) or Variable()
         words = [kind]
         if isinstance(record, VarCreate):
             flaw = _FLAWS.get(_refusal(record, self.own_id, self._limits)[0], "")
@@ -770,7 +770,8 @@ def _refusal(record: VardisRecord, own_id: bytes, limits: Limits) -> tuple[str, 
     return _IGNORED.get(kind, ())
 
 
-def _var_id(record: VardisRecord) -> int:
+def var_id_of(record: VardisRecord) -> int:
+    """Return the variable of a record; for a VarCreate that of its VarSpec (X14)."""
     return record.spec.var_id if isinstance(record, VarCreate) else record.var_id
 
 

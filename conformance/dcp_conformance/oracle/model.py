@@ -332,10 +332,7 @@ class Model:
 
     def _oblige(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
         self.occasions[requirement] += 1
-        owing = self._owed.get(var_id)
-        if owing is None:
-            self._owed[var_id] = [Obligation(time + self._window, kind, var_id, seqno, requirement, frame, time)]
-            return
+        owing = self._owed.setdefault(var_id, [])
         for owed in owing:
             if owed.kind is kind and owed.seqno == seqno:
                 return

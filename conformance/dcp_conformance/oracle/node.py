@@ -22,7 +22,7 @@ from dcp_codec.values import RECORD_CLASSES, Container, ExtendedSafetyData, VarC
 from dcp_conformance.model.broken_rules import broken_by
 
 from .bp import BPModel, Sizes
-from .database import Room, VardisModel
+from .database import Room, VardisModel, var_id_of
 from .judgement import MS, Expected, Finding, Timing, either
 from .knowledge import NO_CREATION, Limits
 from .services import refused_by
@@ -370,16 +370,16 @@ class NodeModel:
         self._damaged = False
         if closed:
             for each in records:
-                self.vardis.why[_variable(each)] = closed
+                self.vardis.why[var_id_of(each)] = closed
             return
         if len(octets) > self.vardis.room.limit:
             # X49: a payload that is larger than the receiver's own may be discarded.
             for each in records:
                 creation = each.spec.creation_time or 0 if isinstance(each, VarCreate) else NO_CREATION
-                self.vardis.doubt(_variable(each), creation)
+                self.vardis.doubt(var_id_of(each), creation)
             return
         self.vardis.hear(records, time, self._number)
-        for var_id in {_variable(each) for each in records} if added else ():
+        for var_id in {var_id_of(each) for each in records} if added else ():
             self.vardis.why[var_id] = (*self.vardis.why.get(var_id, ()), *added)
 
     def beacon(self, octets: bytes, time: int) -> Iterator[Finding]:
@@ -404,8 +404,7 @@ class NodeModel:
             elif isinstance(payload.content, tuple):
                 yield from self._composed(payload.content, len(content), time)
         if len(octets) + self.vardis.room.most + self._sizes.block > int(self.values["BPPAR_MAXIMUM_PACKET_SIZE"]):
-            self._blocked = time
-            self.vardis.postpone(time)
+            self._hold(time)
         if len(octets) + _REPORT > self.free:
             self._held = time
         self._last = time
@@ -480,10 +479,6 @@ class NodeModel:
 def _scrubbing(milliseconds: float, timing: Timing) -> int:
     """Return the longest time between two scrubbings, whose accuracy is left to the implementation; ns."""
     return round(milliseconds * 1.5 * MS) + timing.late + 200 * MS
-
-
-def _variable(record: VardisRecord) -> int:
-    return record.spec.var_id if isinstance(record, VarCreate) else record.var_id
 
 
 def _octets(node_id: Any) -> bytes:

@@ -90,16 +90,14 @@ class VirtualExecutor:
         seed: int = 1,
         timing: Timing | None = None,
         readings: Mapping[str, str] | None = None,
-        sut: InProcess | None = None,
-        upper: VirtualUpperTester | None = None,
     ) -> None:
-        """``timing``: None for a node that reacts at once. ``sut``, ``upper``: a node that runs already."""
+        """``timing``: None for a node that reacts at once."""
         self.codec = config.codec
         period = config.bp.beacon_period_ms * MS
         self.timing = timing or Timing(period=period, patience=12 * period, clock=5 * MS, whole=True)
         self.readings = msgspec.to_builtins(config.selected_readings) if readings is None else readings
-        self._sut = sut or InProcess(config, seed=seed, make=make)
-        self._upper = upper or VirtualUpperTester(self._sut)
+        self._sut = InProcess(config, seed=seed, make=make)
+        self._upper = VirtualUpperTester(self._sut)
         self.methods = self._upper.methods
         self.own_id = config.node_id
         self.hears_vardis = config.vardis is not None

@@ -26,6 +26,7 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.test_steps.services import (
     Moment,
+    binary_identifiers,
     create_request,
     longest_description,
     safety_data,
@@ -136,8 +137,7 @@ def order_of_creation_times(bench: Bench) -> None:
     bench.session.creation_time = second
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id, creation_time=first, value=b"first"))
-    start = bench.mark()
-    peer.send(peer.create(var_id, creation_time=second, value=b"second"))
+    start = peer.stimulate(peer.create(var_id, creation_time=second, value=b"second"))
     passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {second:#x} replaces the one created at {first:#x}"
@@ -208,8 +208,7 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
 
 def _sends_something(bench: Bench) -> str | None:
     """Return why the tester cannot make the implementation send beacons, or None; for ``Needs.when``."""
-    upper = bench.session.upper
-    if bench.sut.pics.vardis is False and (upper is None or not set(CLIENT) <= upper.methods):
+    if bench.sut.pics.vardis is False and not bench.services.offers(*CLIENT):
         return "without VarDis and without an upper tester the tester has no way to cause beacons"
     return None
 
@@ -224,12 +223,11 @@ def _sends_something(bench: Bench) -> str | None:
     needs=Needs(entities=(), when=_sends_something),
 )
 def packed(bench: Bench) -> None:
-    upper = bench.session.upper
     with talking(bench, clients=2):
         reports = bench.profile.srp.safety_data and bench.sut.pics.srp is not False
-        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and reports:
+        if bench.services.offers("SRP-UpdateSafetyData") and reports:
             bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
-        if upper is not None and CREATE in upper.methods and bench.sut.pics.vardis is not False:
+        if bench.services.offers(CREATE) and bench.sut.pics.vardis is not False:
             # Its VarCreate has all fields of the implementation's own making.
             bench.call(CREATE, **create_request(bench, bench.identifiers.own_var_id(), timeout=60_000))
         peer = bench.peer()
@@ -270,10 +268,7 @@ def _trailing(bench: Bench, heard: ReceivedBeacon) -> bytes:
     requirements="DATA-04",
     stimulus="a beacon with the summary of an unknown variable and a special senderId: {variant}",
     expect="a request for the variable",
-    needs=Needs(
-        header=("senderId",),
-        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
-    ),
+    needs=Needs(header=("senderId",), when=binary_identifiers),
     variants={
         "zeros": lambda own: bytes(len(own)),
         "ones": lambda own: b"\xff" * len(own),
@@ -453,8 +448,8 @@ def other_type(bench: Bench, number: int) -> None:
     needs=Needs(since=V1_1, entities=()),
 )
 def packet_size(bench: Bench) -> None:
-    upper, known = bench.session.upper, None
-    if upper is not None and "BP-GetParameters" in upper.methods:
+    known = None
+    if bench.services.offers("BP-GetParameters"):
         known = bench.must("BP-GetParameters").result.get("parameters")
     told = known.get("UWB-MaxPacketSize") if isinstance(known, dict) else None
     with talking(bench):

@@ -58,29 +58,29 @@ def _deletes(bench: Bench, peer: Peer) -> None:
     bench.wait(1.5)
 
 
+def _needs(*methods: str, since: SpecVersion = SpecVersion.V1_0, header: tuple[str, ...] = ()) -> Needs:
+    return Needs(since, ut=(*_EVERY, *methods), entities=("srp", "vardis"), header=header)
+
+
 _EVENTS: dict[str, tuple[Callable[[Bench, Peer], None], str, Needs]] = {
-    "a-client-goes": (_client_goes, "BP-DRG-02 BP-CLR-03", Needs(ut=_EVERY, entities=("srp", "vardis"))),
-    "a-variable-is-deleted": (_deletes, "VD-PD-04", Needs(ut=_EVERY, entities=("srp", "vardis"))),
+    "a-client-goes": (_client_goes, "BP-DRG-02 BP-CLR-03", _needs()),
+    "a-variable-is-deleted": (_deletes, "VD-PD-04", _needs()),
     "VarDis-pauses": (
         _vardis_pauses,
         "VD-MGT-05",
-        Needs(SpecVersion.V1_2, ut=(*_EVERY, "VD-MGMT-Activate", "VD-MGMT-Deactivate"), entities=("srp", "vardis")),
+        _needs("VD-MGMT-Activate", "VD-MGMT-Deactivate", since=SpecVersion.V1_2),
     ),
     "BP-pauses": (
         _bp_pauses,
         "BP-MGT-04 BP-MGT-05",
-        Needs(SpecVersion.V1_2, ut=(*_EVERY, "BP-MGMT-Activate", "BP-MGMT-Deactivate"), entities=("srp", "vardis")),
+        _needs("BP-MGMT-Activate", "BP-MGMT-Deactivate", since=SpecVersion.V1_2),
     ),
     "the-network-changes": (
         _set(NETWORK, lambda old: old ^ 0x0102),
         "BP-PAR-02",
-        Needs(SpecVersion.V2_0, ut=(*_EVERY, SET), entities=("srp", "vardis"), header=("networkId",)),
+        _needs(SET, since=SpecVersion.V2_0, header=("networkId",)),
     ),
-    "the-packet-size-changes": (
-        _set(SIZE, lambda old: old - 7),
-        "BP-PAR-02",
-        Needs(ut=(*_EVERY, SET), entities=("srp", "vardis")),
-    ),
+    "the-packet-size-changes": (_set(SIZE, lambda old: old - 7), "BP-PAR-02", _needs(SET)),
 }
 
 

@@ -23,9 +23,7 @@ _AWAY = 8
 )
 def down_and_up(bench: Bench) -> None:
     with talking(bench):
-        before = bench.beacons(2)
-        if not before:
-            bench.inconclusive("beacons before the link goes down", "none in time")
+        before = bench.needed(bench.beacons(2), "beacons before the link goes down")
         with bench.control.link_down():
             bench.wait(_AWAY)
         mark = bench.mark()

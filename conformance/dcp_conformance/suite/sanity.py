@@ -57,8 +57,7 @@ def _judge(bench: Bench, contact: Contact) -> None:
 
 def _judge_inactive(bench: Bench, contact: Contact) -> None:
     what = "BP is active after its start"
-    upper = bench.session.upper
-    if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
+    if bench.session.can_restart or bench.services.offers("UT-Reset"):
         bench.wrong(what, contact.suspicion, "BP-INI-03")
     bench.inconclusive(what, f"{contact.suspicion}; it is unknown whether it has just started")
 
@@ -66,8 +65,7 @@ def _judge_inactive(bench: Bench, contact: Contact) -> None:
 def _judge_beacons(bench: Bench, contact: Contact) -> None:
     """Check for a beacon; without VarDis that is sufficient."""
     what = "a beacon of the implementation"
-    if not contact.frames:
-        bench.inconclusive(what, contact.suspicion)
+    bench.needed(contact.frames, what, contact.suspicion)
     bench.passed(what)
 
 

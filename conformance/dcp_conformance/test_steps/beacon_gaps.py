@@ -19,7 +19,7 @@ from .kept_payloads import keeps_payloads
 
 T = TypeVar("T")
 
-_SWITCHES: Final = frozenset({"BP-MGMT-Activate", "BP-MGMT-Deactivate"})
+_SWITCHES: Final = ("BP-MGMT-Activate", "BP-MGMT-Deactivate")
 _ATTEMPTS: Final = 4
 #: A beacon sent within this fraction of a period after the stimuli may have been prepared before the last one.
 _GUARD: Final = 20
@@ -32,8 +32,7 @@ def pausable(bench: Bench) -> bool:
 
     False if deactivation failed before: that is a separate fault, which must not affect cases about other features.
     """
-    session = bench.session
-    return session.upper is not None and session.upper.methods >= _SWITCHES and not session.pausing_fails
+    return bench.services.offers(*_SWITCHES) and not bench.session.pausing_fails
 
 
 def in_a_gap(

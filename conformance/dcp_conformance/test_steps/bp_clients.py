@@ -91,11 +91,11 @@ def mode_exists(mode: QueueingMode) -> Callable[[Bench], str | None]:
     return when
 
 
-def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0, requirements: str | None = None) -> dict[str, Any]:
+def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> dict[str, Any]:
     """Return a variant for each queueing mode of any version."""
     return {
         mode.name.removeprefix("QUEUE_").lower(): Variant(
-            mode, requirements=requirements, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
+            mode, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
         )
         for mode in (ONCE, REPEAT, DROPTAIL, DROPHEAD, QueueingMode.QUEUE)
         if not (mode is QueueingMode.QUEUE and since > SpecVersion.V1_0)
@@ -218,23 +218,31 @@ class BPClient:
             self.bench.inconclusive("a submitted payload, which this case needs", str(answer))
         return answer
 
-    def submit(self, count: int, size: int = 12, *, at_once: bool = True, must: bool = True) -> list[bytes]:
-        """Submit ``count`` new payloads in succession and return them.
+    def submit(self, count: int, size: int = 12, *, must: bool = True) -> list[bytes]:
+        """Submit ``count`` new payloads between two beacons and return them. ``must``: see :meth:`transmit`."""
+        what = f"submission of {count} payloads"
+        return between_beacons(self.bench, what, lambda: self.transmit_new(count, size, must=must), self.in_frame)
 
-        ``at_once``: between two beacons, see :func:`~dcp_conformance.test_steps.beacon_gaps.between_beacons`.
-        ``must``: see
-        :meth:`transmit`.
+    def transmit_new(self, count: int, size: int = 12, *, must: bool = True) -> list[bytes]:
+        """Submit ``count`` new payloads in succession and return them. ``must``: see :meth:`transmit`."""
+        payloads = [self.payload(size) for _ in range(count)]
+        for payload in payloads:
+            self.transmit(payload, must=must)
+        return payloads
+
+    def submit_between(self, what: str, make: Callable[[], list[bytes]]) -> tuple[int, list[bytes]]:
+        """Submit payloads between two beacons; return the mark before them and the payloads.
+
+        See :func:`~dcp_conformance.test_steps.beacon_gaps.between_beacons`; ``make`` is called for each attempt.
         """
 
-        def act() -> list[bytes]:
-            payloads = [self.payload(size) for _ in range(count)]
+        def act() -> tuple[int, list[bytes]]:
+            start, payloads = self.bench.mark(), make()
             for payload in payloads:
-                self.transmit(payload, must=must)
-            return payloads
+                self.transmit(payload)
+            return start, payloads
 
-        if count == 1 or not at_once:
-            return act()
-        return between_beacons(self.bench, f"submission of {count} payloads", act, self.in_frame)
+        return between_beacons(self.bench, what, act, self.in_frame)
 
     def number(self) -> int | None:
         """Return the number in BP-QueryNumberBufferedPayloads; None if the answer has none."""
@@ -286,15 +294,22 @@ class BPClient:
 
         return self.bench.until(wanted, periods)
 
+    def put_on_air(self, what: str = "a beacon with the payload", size: int = 12) -> bytes:
+        """Submit a new payload and return it; stop as inconclusive unless beacons of the client come."""
+        payload = self.payload(size)
+        self.transmit(payload)
+        needed(self.bench, self.until_sent(), what)
+        return payload
+
     # -- indications -------------------------------------------------------------------------------------------
 
     def received(self, since: int = 0) -> list[bytes]:
         """Return the payloads indicated to this client, from a number of notifications on."""
         return [octets_of(each) for each in indications(self.bench, RECEIVED, self.prot_id, since)]
 
-    def until_received(self, count: int = 1, periods: float | None = None) -> list[bytes]:
+    def until_received(self, count: int = 1) -> list[bytes]:
         """Wait until this client has ``count`` indications in total; return the payloads indicated."""
-        until(self.bench, lambda: len(self.received()) >= count, periods)
+        until(self.bench, lambda: len(self.received()) >= count)
         return self.received()
 
 
@@ -365,8 +380,8 @@ def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
     Yields the clients. Without an upper tester there is only the variable.
     """
     with contextlib.ExitStack() as stack:
-        upper, made = bench.session.upper, []
-        if upper is not None and set(CLIENT) <= upper.methods:
+        made = []
+        if bench.services.offers(*CLIENT):
             for number in range(clients):
                 client = stack.enter_context(BPClient(bench, REPEAT))
                 client.transmit(client.payload(9 + 7 * number))
@@ -387,5 +402,4 @@ def some_beacons(bench: Bench, count: int) -> list[ReceivedBeacon]:
 
 def needed(bench: Bench, found: object, what: str) -> None:
     """Stop as inconclusive without required beacons: BP does not guarantee when a payload is sent (BP-GEN-02)."""
-    if not found:
-        bench.inconclusive(f"{what}, which this case needs", f"none within {bench.sut.reaction:g} periods")
+    bench.needed(found, f"{what}, which this case needs", f"none within {bench.sut.reaction:g} periods")

@@ -22,8 +22,7 @@ PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
 def settable(bench: Bench) -> bool:
     """Return whether parameters of VarDis can be set, and restored by a reset."""
-    upper = bench.session.upper
-    return upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods
+    return bench.services.offers("UT-Reset", "VD-SetParameter")
 
 
 def longest(bench: Bench) -> tuple[bytes, bytes]:

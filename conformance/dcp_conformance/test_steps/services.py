@@ -42,21 +42,24 @@ def deleted_status(bench: Bench) -> str:
     return "VARDIS-STATUS-VARIABLE-IS-DELETED"
 
 
+def or_removed(bench: Bench, status: str) -> tuple[str, ...]:
+    """Return the allowed statuses: up to 1.3, a deleted variable may have been removed after its repetitions."""
+    return (status, UNKNOWN) if bench.features.removed_after_deletion else (status,)
+
+
 def statuses_after_deletion(bench: Bench) -> tuple[str, ...]:
-    """As :func:`deleted_status`; up to 1.3 the variable may have been removed after its repetitions."""
-    if bench.features.removed_after_deletion:
-        return (deleted_status(bench), UNKNOWN)
-    return (deleted_status(bench),)
+    """As :func:`deleted_status`, with :func:`or_removed`."""
+    return or_removed(bench, deleted_status(bench))
+
+
+def too_long(bench: Bench) -> bytes:
+    """Return a value that is one octet longer than the implementation allows."""
+    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 def empty_status(bench: Bench) -> str:
     """Return the status of create and update for an empty value."""
     return "VARDIS-STATUS-" + ("INVALID" if bench.profile.spec_version < SpecVersion.V1_1 else "EMPTY") + "-VALUE"
-
-
-def same_status(answer: Answer, status: str) -> bool:
-    """Return whether the answer has this status; 1.0 spells statuses with underscores."""
-    return answer.is_status(status)
 
 
 def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
@@ -154,8 +157,7 @@ def created_again(bench: Bench, var_id: int, **request: Any) -> None:
         bench.reading("X20", "by-description")
         bench.verdicts.not_applicable("RTDB-Create rejects the identifier of an existing variable (X20)")
     bench.services.require_asked(answer, "RTDB-Create succeeds, which this case needs")
-    if not answer.ok:
-        bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
+    bench.needed(answer.ok, "RTDB-Create succeeds, which this case needs", str(answer))
 
 
 def settled(bench: Bench, var_id: int, since: int | None = None) -> None:
@@ -174,9 +176,12 @@ def teach_variable(bench: Bench, peer: Peer, **record: Any) -> int:
     return var_id
 
 
-def delete_taught_variable(bench: Bench, peer: Peer, var_id: int) -> None:
-    """Let a peer delete its variable; inconclusive if the implementation does not forward the VarDelete."""
+def deleted_by_peer(bench: Bench, rep_cnt: int) -> int:
+    """Let a peer create a variable and delete it; inconclusive if the implementation does not forward both."""
+    peer = bench.peer()
+    var_id = teach_variable(bench, peer, rep_cnt=rep_cnt)
     _send_until_forwarded(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "a forwarded VarDelete")
+    return var_id
 
 
 def _send_until_forwarded(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
@@ -257,6 +262,11 @@ def holds_two_octets(bench: Bench) -> str | None:
     return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}; the case needs 2"
 
 
+def binary_identifiers(bench: Bench) -> str | None:
+    """Return why a case about the octets of node identifiers does not apply, or None."""
+    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
+
+
 def count_of(bench: Bench, name: str) -> int:
     """Return the number of repetitions that a variant names: a number, or ``most``."""
     return max_repetitions(bench) if name == "most" else min(int(name), max_repetitions(bench))
@@ -293,6 +303,12 @@ def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
     return values
 
 
+def numeric_data(bench: Bench, number: int) -> dict[str, Any]:
+    """Return the numeric fields of :func:`safety_data`, as keyword arguments of :meth:`.Records.report`."""
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+    return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
+
+
 def reported_safety_data(bench: Bench, report: Any) -> dict[str, Any]:
     """Return the safety data of a received report, in the form of :func:`safety_data`."""
     values = report.s_data.as_dict().values()
@@ -310,9 +326,7 @@ def srp_blocks(heard: ReceivedBeacon) -> list[bytes]:
     return heard.data(BP_PROTID_SRP)
 
 
-def until_report(
-    bench: Bench, values: dict[str, Any] | None = None, periods: float | None = None
-) -> ReceivedBeacon | None:
+def until_report(bench: Bench, values: dict[str, Any] | None = None) -> ReceivedBeacon | None:
     """Wait for a beacon with a state report with these values, or with any.
 
     Stops as inconclusive if there are only SRP payloads that cannot be decoded: TC_SRP_REC_BV_01 fails for them.
@@ -322,7 +336,7 @@ def until_report(
     def wanted(heard: ReceivedBeacon) -> bool:
         return heard.report is not None and (values is None or reported_safety_data(bench, heard.report) == values)
 
-    found = bench.until(lambda heard: heard if wanted(heard) else None, periods)
+    found = bench.until(lambda heard: heard if wanted(heard) else None)
     if found is None:
         problems = [each for heard in bench.heard[start:] for each in heard.report_problems]
         if problems:

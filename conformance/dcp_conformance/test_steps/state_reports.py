@@ -98,12 +98,10 @@ class Reporter:
         """
         if self._application is None:
             bench, found = self.bench, self.bench.session.foreign_reports
-            upper = bench.session.upper
-            resettable = upper is not None and "UT-Reset" in upper.methods
             if not found.proved and found.listened < _LISTEN * bench.period:
                 # The report of the last submission may still be in transit.
                 bench.wait(2)
-                if resettable:
+                if bench.services.offers("UT-Reset"):
                     bench.must("UT-Reset")
                 else:
                     found.forget(bench.now())

@@ -6,11 +6,13 @@ the VarDelete may come one reaction time later, and timers may be late (PIXIT ti
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VardisRecord
+from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import MS, Bench
@@ -40,8 +42,8 @@ def shorten_scrubbing(bench: Bench) -> int:
 
     The current period may still run to its end, so deadlines depend on the initial one.
     """
-    upper, period = bench.session.upper, scrubbing_period_ms(bench)
-    if period > SHORT and upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods:
+    period = scrubbing_period_ms(bench)
+    if period > SHORT and bench.services.offers("UT-Reset", "VD-SetParameter"):
         answer = bench.call("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=SHORT)
         if answer.ok:
             return SHORT
@@ -63,6 +65,43 @@ def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruct
     if found is None:
         bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     return found
+
+
+def check_not_kept(bench: Bench, act: Callable[[Peer, VarCreate], object], what: str) -> None:
+    """Check that a timeout of 500 ms passes although ``act`` sends ``what`` about the variable every 150 ms."""
+    shorten_scrubbing(bench)
+    peer, timeout_ms = bench.peer(), 500
+    record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.identifiers.var_ids(2))
+    name = record.spec.var_id
+    since = sent(bench, peer, record, silent)
+    deadline = since.after + latest(bench, timeout_ms)
+    while bench.now() < deadline and not bench.instructions(_DELETE, name):
+        bench.waiting.wait_ns(150 * MS)
+        if not bench.instructions(_DELETE, name):
+            act(peer, record)
+    found = bench.instructions(_DELETE, name)
+    if not found and not bench.instructions(_DELETE, silent.spec.var_id):
+        # If only producers scrub (X26), this cannot be tested.
+        not_by_consumers(bench, name)
+        return
+    bench.required(found, f"a VarDelete of the variable, as of the one without further {what}")
+    check_time(bench, found[0], since, timeout_ms)
+
+
+def deleted_by_consumer(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction:
+    """As :func:`deleted`; without a VarDelete report the reading by which only producers scrub, and stop the case."""
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        not_by_consumers(bench, name)
+        raise StopCase
+    return found
+
+
+def deleted_by_producer(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction:
+    """As :func:`deleted`, for a variable of the implementation's own; fails and stops the case without a VarDelete."""
+    found = deleted(bench, name, since, timeout_ms)
+    seen = f"none in {latest(bench, timeout_ms) / MS:.0f} ms"
+    return bench.required(found, "a VarDelete of the node's own variable", seen=seen)
 
 
 def check_time(

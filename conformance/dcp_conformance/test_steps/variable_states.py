@@ -163,8 +163,7 @@ def ignored(situation: VariableState, since: int) -> None:
         bench.check_repeated(ICType.DELETE_VARIABLES, var_id, situation.rep_cnt, since)
     if situation.state == "unknown":
         # The request below would itself cause a request for the variable.
-        bench.require_alive("a record that it must ignore")
-        bench.beacons(1, 1.5)
+        bench.require_processed("a record that it must ignore")
         found = traces(bench, var_id, since)
         bench.none(found, "no record as a reaction")
     elif gone:

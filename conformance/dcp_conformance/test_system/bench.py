@@ -71,9 +71,9 @@ class Bench:
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
         self.builder = FrameBuilder(codec, sized=partial(self.excuses.relies_on, "size"))
         self.transmission = Transmission(lower, traffic, self.steps, self.losses, self.sut)
-        self.peers = Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers)
         self.receiver = Receiver(session, case.id, lower, traffic, self.steps, self.identifiers, self.heard)
         self.waiting = Waiting(self.receiver, lower, self.sut, self.losses)
+        self.peers = Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers, self.waiting)
         self.repetitions = Repetitions(self.waiting, self.verdicts)
         changes = Changes(self.sut.initial)
         self.services = Services(
@@ -92,9 +92,11 @@ class Bench:
         self.info = self.verdicts.info
         self.reading = self.verdicts.reading
         self.require_alive = self.probes.require_alive
+        self.require_processed = self.probes.require_processed
         self.check_repeated = self.repetitions.check
         self.some = matchers.some
         self.required = matchers.required
+        self.needed = matchers.needed
         self.complete = matchers.complete
         self.none = matchers.none
         self.every = matchers.every
@@ -117,6 +119,7 @@ class Bench:
         self.var_id = self.identifiers.var_id
         self.unknown_id = self.identifiers.unknown_id
         self.learn = self.teaching.learn
+        self.learnt = self.teaching.learnt
         self.call = self.services.call
         self.must = self.services.must
         self.expect_status = self.services.expect_status

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 from dcp_conformance.errors import ConformanceError, CouldNotAskError
@@ -37,32 +38,20 @@ class RunControl(Protocol):
         ...
 
 
+@dataclass(eq=False)
 class Control:
     """Restarts the implementation, and takes its link down, for cases whose needs say ``restart`` or ``link``."""
 
-    def __init__(
-        self,
-        run: RunControl,
-        clock: Clock,
-        traffic: Traffic,
-        steps: Steps,
-        sut: SutProperties,
-        verdicts: Verdicts,
-        changes: Changes,
-        receiver: Receiver,
-        waiting: Waiting,
-        probes: Probes,
-    ) -> None:
-        self._run = run
-        self._clock = clock
-        self._traffic = traffic
-        self._steps = steps
-        self._sut = sut
-        self._verdicts = verdicts
-        self._changes = changes
-        self._receiver = receiver
-        self._waiting = waiting
-        self._probes = probes
+    _run: RunControl
+    _clock: Clock
+    _traffic: Traffic
+    _steps: Steps
+    _sut: SutProperties
+    _verdicts: Verdicts
+    _changes: Changes
+    _receiver: Receiver
+    _waiting: Waiting
+    _probes: Probes
 
     def restart(self) -> None:
         """Restart the implementation and wait until it answers; inconclusive if that fails."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection
-from typing import Final, NoReturn
+from dataclasses import dataclass
+from typing import Final, NoReturn, Unpack
 
 from dcp_spec.constants import ICType
 
@@ -20,29 +21,22 @@ from .known import Question, RunFindings
 from .reception.receiver import Receiver
 from .reception.waiting import Waiting
 from .sending.peers import Peer, Peers
-from .sending.records import Records
+from .sending.records import CreationFields, Records
 from .sut_properties import SutProperties
 
 #: Maximum number of identifiers in a message.
 _NAMES: Final = 8
 
 
+@dataclass(eq=False)
 class Probes:
     """Asks VarDis for a sign of life."""
 
-    def __init__(
-        self,
-        run: RunFindings,
-        peers: Peers,
-        identifiers: Identifiers,
-        waiting: Waiting,
-        verdicts: Verdicts,
-    ) -> None:
-        self._run = run
-        self._peers = peers
-        self._identifiers = identifiers
-        self._waiting = waiting
-        self._verdicts = verdicts
+    _run: RunFindings
+    _peers: Peers
+    _identifiers: Identifiers
+    _waiting: Waiting
+    _verdicts: Verdicts
 
     def probe(self, periods: float | None = None) -> bool:
         """Send a stimulus that VarDis must answer, and return whether it does.
@@ -102,25 +96,22 @@ class Probes:
         alive, what = self.probe() or self.probe(), f"VarDis still answers after {after}"
         Matchers(self._verdicts).required(alive, what, *requirements, seen="no answer to two probes")
 
+    def require_processed(self, after: str, *requirements: str) -> None:
+        """As :meth:`require_alive`; then wait for one more beacon, which shows what ``after`` has caused."""
+        self.require_alive(after, *requirements)
+        self._waiting.beacons(1, 1.5)
 
+
+@dataclass(eq=False)
 class Teaching:
     """Teaches the implementation variables that a case needs."""
 
-    def __init__(
-        self,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-        receiver: Receiver,
-        waiting: Waiting,
-        verdicts: Verdicts,
-    ) -> None:
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self._receiver = receiver
-        self._waiting = waiting
-        self._verdicts = verdicts
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _receiver: Receiver
+    _waiting: Waiting
+    _verdicts: Verdicts
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
         """Teach the implementation variables, and wait for the last repetition of their VarCreates.
@@ -144,6 +135,12 @@ class Teaching:
         self._waiting.until_quiet(present, since=start, complete=complete)
         if missing := wanted - set(forwarded()):
             self.not_learnt(missing)
+
+    def learnt(self, peer: Peer, var_id: int, **record: Unpack[CreationFields]) -> VarCreate:
+        """Teach the implementation a variable, as :meth:`learn` does, and return its VarCreate."""
+        create = peer.create(var_id, **record)
+        self.learn(peer, create)
+        return create
 
     def not_learnt(self, missing: Collection[int]) -> NoReturn:
         """Stop the case as inconclusive: it needs variables that the implementation has not learnt."""

@@ -212,7 +212,7 @@ class Parts:
 
     @cached_property
     def peers(self) -> Peers:
-        return Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers)
+        return Peers(self.transmission, self.builder, self.records, self.sut, self.identifiers, self.waiting)
 
     @cached_property
     def receiver(self) -> Receiver:

@@ -171,10 +171,8 @@ def created_and_deleted(bench: Bench, step: int) -> None:
 )
 def slow_echo(bench: Bench) -> None:
     source, echo, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
-    create = source.create(name, rep_cnt=count)
-    bench.learn(source, create)
-    mark = bench.mark()
-    source.send(source.delete(name))
+    create = bench.learnt(source, name, rep_cnt=count)
+    mark = source.stimulate(source.delete(name))
     # Unless it has forwarded the deletion, it may not have received it.
     deleted = bench.waiting.repeated(_DELETE, name, mark)
     mark = bench.mark()
@@ -211,8 +209,7 @@ def own_variable(bench: Bench, what: str) -> None:
         "delete": peer.delete(name),
         "summary": peer.summary(name, 5),
     }
-    mark = bench.mark()
-    peer.send(records[what])
+    mark = peer.stimulate(records[what])
     bench.require_alive("a record about a variable of its own", rule)
     answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-Read", rule, varId=name)
     bench.answered(answer.result.get("value"), "0a", "the value", rule)

@@ -157,22 +157,6 @@ def _tell_overload(bench: Bench, count: int, what: str, requirement: str) -> Non
         )
 
 
-def _ask_create(peer: Peer, name: int) -> VardisRecord:
-    return peer.request_create(name)
-
-
-def _ask_update(peer: Peer, name: int) -> VardisRecord:
-    return peer.request_update(name, 4)
-
-
-def _old_summary(peer: Peer, name: int) -> VardisRecord:
-    return peer.summary(name, 4)
-
-
-def _old_update(peer: Peer, name: int) -> VardisRecord:
-    return peer.update(name, 4, b"old")
-
-
 @case(
     "TC_NET_STORM_BV_01",
     "The same record from ten neighbours is answered repCnt times, not ten times as often ({variant})",
@@ -181,10 +165,10 @@ def _old_update(peer: Peer, name: int) -> VardisRecord:
     expect="the answer in exactly repCnt beacons, or in one more if a payload was composed before the last of the ten",
     window=24,
     variants={
-        "request-for-create": (_ask_create, _CREATE, "VD-RC-03"),
-        "request-for-update": (_ask_update, _UPDATE, "VD-RU-04"),
-        "old-summary": (_old_summary, _UPDATE, "VD-PS-03"),
-        "old-update": (_old_update, _UPDATE, "VD-PU-06"),
+        "request-for-create": (lambda peer, name: peer.request_create(name), _CREATE, "VD-RC-03"),
+        "request-for-update": (lambda peer, name: peer.request_update(name, 4), _UPDATE, "VD-RU-04"),
+        "old-summary": (lambda peer, name: peer.summary(name, 4), _UPDATE, "VD-PS-03"),
+        "old-update": (lambda peer, name: peer.update(name, 4, b"old"), _UPDATE, "VD-PU-06"),
     },
 )
 def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICType, str]) -> None:

@@ -43,8 +43,7 @@ def passes_through(bench: Bench, wanted: int) -> None:
         (_DELETE, peer.delete(name), ("VD-PD-04",)),
     )
     for kind, record, requirements in steps:
-        mark = bench.mark()
-        peer.send(record)
+        mark = peer.stimulate(record)
         found = bench.check_repeated(kind, name, count, mark, "VD-SCP-02")
         _check_unchanged(bench, found, record, *requirements)
 
@@ -65,8 +64,7 @@ def no_echo(bench: Bench) -> None:
         (_UPDATE, source.update(name, 1)),
         (_DELETE, source.delete(name)),
     ):
-        mark = bench.mark()
-        source.send(record)
+        mark = source.stimulate(record)
         for _ in range(count):
             if bench.until_instruction(kind, name) is None:
                 break
@@ -179,7 +177,6 @@ def whole_life(bench: Bench) -> None:
     )
     for kind, make, requirement in steps:
         record = make()
-        mark = bench.mark()
-        peer.send(record)
+        mark = peer.stimulate(record)
         found = bench.check_repeated(kind, name, count, mark, requirement)
         _check_unchanged(bench, found, record, requirement)

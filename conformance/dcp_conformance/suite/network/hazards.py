@@ -30,8 +30,7 @@ _ASK_CREATE = ICType.REQUEST_VARCREATES
 )
 def mutual_requests(bench: Bench) -> None:
     peer, name = bench.peer(), bench.unknown_id()
-    mark = bench.mark()
-    peer.send(peer.request_create(name))
+    mark = peer.stimulate(peer.request_create(name))
     if not bench.features.rerequest_unknown:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
@@ -89,13 +88,10 @@ def forgotten_variable(bench: Bench) -> None:
 )
 def split(bench: Bench) -> None:
     source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
-    create = source.create(name, rep_cnt=count)
-    bench.learn(source, create)
-    mark = bench.mark()
-    other.send(other.delete(name))
+    create = bench.learnt(source, name, rep_cnt=count)
+    mark = other.stimulate(other.delete(name))
     bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04")
-    mark = bench.mark()
-    source.send(source.update(name, 1))
+    mark = source.stimulate(source.update(name, 1))
     if bench.features.removed_after_deletion:
         # The entry was removed: an update of the producer causes a request, and its VarCreate restores the variable.
         asked = bench.until_instruction(_ASK_CREATE, name)
@@ -139,9 +135,7 @@ def split(bench: Bench) -> None:
 def taken_over(bench: Bench) -> None:
     peer, name = bench.peer(), produced(bench)
     bench.until_instruction(_CREATE, name)
-    mine = bench.instructions(_CREATE, name)
-    if not mine:
-        bench.inconclusive("a VarCreate of the node's own variable", "none in time")
+    mine = bench.needed(bench.instructions(_CREATE, name), "a VarCreate of the node's own variable")
     stamp, made = bench.profile.types.timestamp, mine[0].record.spec.creation_time
     if stamp.epoch_ns is not None and made - bench.records.creation_time() > 86_400 * stamp.per_second:
         # Otherwise every further VarCreate of this run would need a still later creationTime.
@@ -149,8 +143,7 @@ def taken_over(bench: Bench) -> None:
     later = max(bench.records.creation_time(), made + 1)
     bench.session.creation_time = later
     create = peer.create(name, value=b"foreign", creation_time=later)
-    mark = bench.mark()
-    peer.send(create)
+    mark = peer.stimulate(create)
     bench.until(lambda heard: heard.about(_CREATE, name) == create, 8)
     bench.required(
         any(each.record == create for each in bench.instructions(_CREATE, name, mark)),
@@ -175,8 +168,7 @@ def clock_ahead(bench: Bench) -> None:
     # The variable identifier cannot be used for an hour, so it must be one that no other case uses.
     wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
     ticks = bench.profile.types.timestamp.per_second
-    ahead = wrong.create(name, value=b"ahead", creation_time=bench.records.creation_time() + 3600 * ticks)
-    bench.learn(wrong, ahead)
+    ahead = bench.learnt(wrong, name, value=b"ahead", creation_time=bench.records.creation_time() + 3600 * ticks)
     right.send(right.create(name, value=b"right"))
     bench.require_alive("a VarCreate with an older creationTime")
     record = held(bench, name)
@@ -198,13 +190,11 @@ def clock_ahead(bench: Bench) -> None:
 def starts_again(bench: Bench) -> None:
     source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, value=b"fifty", seqno=50, rep_cnt=count))
-    mark = bench.mark()
-    source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
+    mark = source.stimulate(source.create(name, value=b"again", seqno=0, rep_cnt=count))
     bench.require_alive("a second VarCreate", "VD-SCP-03")
     found = bench.instructions(_CREATE, name, mark)
     bench.none(found, "no VarCreate of the known variable", "VD-SCP-03")
-    mark = bench.mark()
-    source.send(source.update(name, 1, b"again"))
+    mark = source.stimulate(source.update(name, 1, b"again"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
     numbers = {each.record.seqno for each in found}
     bench.only(numbers, {50}, "the stored value with sequence number 50", "VD-PU-06", frames=found)
@@ -227,11 +217,9 @@ def starts_again(bench: Bench) -> None:
 def missed_creation(bench: Bench) -> None:
     source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, value=b"first life", seqno=3, rep_cnt=count))
-    mark = bench.mark()
-    other.send(other.summary(name, 0))
+    mark = other.stimulate(other.summary(name, 0))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PS-03")
-    quiet = bench.mark()
-    other.send(other.summary(name, 3))
+    quiet = other.stimulate(other.summary(name, 3))
     bench.require_alive("a summary with the stored sequence number", "VD-PS-02")
     found = bench.instructions(_UPDATE, name, quiet)
     bench.none(found, "no VarUpdate in response to the stored sequence number", "VD-PS-02")
@@ -255,11 +243,9 @@ def missed_creation(bench: Bench) -> None:
 def earlier_update(bench: Bench) -> None:
     source, late, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=9, rep_cnt=count))
-    mark = bench.mark()
-    source.send(source.create(name, value=b"second life", rep_cnt=count))
+    mark = source.stimulate(source.create(name, value=b"second life", rep_cnt=count))
     bench.check_repeated(_CREATE, name, count, mark, "VD-PC-01")
-    mark = bench.mark()
-    late.send(late.update(name, 10, b"first life"))
+    mark = late.stimulate(late.update(name, 10, b"first life"))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
@@ -286,8 +272,7 @@ def many_missed_updates(bench: Bench) -> None:
         (source.summary(name, far), "VD-PS-03"),
         (source.update(name, far, b"new"), "VD-PU-06"),
     ):
-        mark = bench.mark()
-        source.send(record)
+        mark = source.stimulate(record)
         found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
         values, stored = {each.record.value for each in found}, bench.records.value(b"stale")
         bench.only(values, {stored}, "the stored value", requirement, frames=found)

@@ -33,8 +33,7 @@ _SUMMARIES = Needs(when=summarises)
 )
 def learns(bench: Bench, by: ICType) -> None:
     peer, name, count = bench.peer(), bench.unknown_id(), bench.sut.rep_cnt(2)
-    mark = bench.mark()
-    peer.send(peer.summary(name, 6) if by is _SUMMARY else peer.update(name, 6))
+    mark = peer.stimulate(peer.summary(name, 6) if by is _SUMMARY else peer.update(name, 6))
     asked = bench.until_instruction(_ASK_CREATE, name)
     bench.required(asked, "a request for the unknown variable", "VD-PS-01" if by is _SUMMARY else "VD-PU-01")
     create = peer.create(name, seqno=6, value=b"six", rep_cnt=count)
@@ -72,8 +71,7 @@ def _check_summarised(bench: Bench, name: int, number: int) -> None:
 def catches_up(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(name, seqno=2, rep_cnt=count))
-    mark = bench.mark()
-    peer.send(peer.summary(name, 7))
+    mark = peer.stimulate(peer.summary(name, 7))
     asked = bench.required(bench.until_instruction(_ASK_UPDATE, name), "a request for the newer value", "VD-PS-04")
     bench.answered(asked.seqno, 2, "its own sequence number in the request", "VD-CMP-11")
     peer.send(peer.update(name, 7, b"seven"))
@@ -97,13 +95,10 @@ def catches_up(bench: Bench) -> None:
 def teaches_create(bench: Bench) -> None:
     producer, joiner = bench.peer(), bench.peer()
     name, count = bench.var_id(), bench.sut.rep_cnt(3)
-    create = producer.create(name, value=b"old", seqno=1, rep_cnt=count)
-    bench.learn(producer, create)
-    mark = bench.mark()
-    producer.send(producer.update(name, 2, b"new"))
+    create = bench.learnt(producer, name, value=b"old", seqno=1, rep_cnt=count)
+    mark = producer.stimulate(producer.update(name, 2, b"new"))
     updated = bench.waiting.repeated(_UPDATE, name, mark)
-    mark = bench.mark()
-    joiner.send(joiner.request_create(name))
+    mark = joiner.stimulate(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = msgspec.structs.replace(create, upd=bench.records.update(name, 2, b"new"))
     bench.every(found, wanted, "the current VarCreate", "VD-CMP-07", given=updated)
@@ -121,8 +116,7 @@ def teaches_update(bench: Bench) -> None:
     producer, stale = bench.peer(), bench.peer()
     name, count = bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(producer, producer.create(name, value=b"five", seqno=5, rep_cnt=count))
-    mark = bench.mark()
-    stale.send(stale.request_update(name, 4))
+    mark = stale.stimulate(stale.request_update(name, 4))
     bench.every(
         bench.check_repeated(_UPDATE, name, count, mark),
         bench.records.update(name, 5, b"five"),
@@ -144,16 +138,14 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     producer, stale = bench.peer(), bench.peer()
     name, count = bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(producer, producer.create(name, value=b"nine", seqno=9, rep_cnt=count))
-    mark = bench.mark()
-    stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
+    mark = stale.stimulate(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
     bench.every(
         bench.check_repeated(_UPDATE, name, count, mark, requirement),
         bench.records.update(name, 9, b"nine"),
         "the stored value with sequence number 9",
         requirement,
     )
-    mark = bench.mark()
-    stale.send(stale.summary(name, 9))
+    mark = stale.stimulate(stale.summary(name, 9))
     bench.require_alive("a summary with the stored sequence number", requirement)
     late = bench.instructions(_UPDATE, name, mark)
     bench.none(late, "no VarUpdate after a summary with the current sequence number", requirement)
@@ -237,8 +229,7 @@ def asks_again(bench: Bench, kind: ICType) -> None:
     if kind is _ASK_UPDATE:
         bench.learn(peer, peer.create(name))
     for _ in range(3):
-        mark = bench.mark()
-        peer.send(peer.summary(name, 1))
+        mark = peer.stimulate(peer.summary(name, 1))
         bench.required(bench.until_instruction(kind, name), "a request", rule)
         bench.check_repeated(kind, name, 1, mark, once)
 
@@ -261,13 +252,11 @@ def taught_by_producer(bench: Bench) -> None:
     bench.must("RTDB-Update", varId=name, value=bench.records.value(b"\x01\x02").hex())
     bench.waiting.repeated(_UPDATE, name, mark)
     joiner, stale = bench.peer(), bench.peer()
-    mark = bench.mark()
-    joiner.send(joiner.request_create(name))
+    mark = joiner.stimulate(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = VarUpdate(name, 1, bench.records.value(b"\x01\x02"))
     bench.every(
         found, lambda each: plain(each.record.upd) == wanted, "the current value with sequence number 1", "VD-CMP-07"
     )
-    mark = bench.mark()
-    stale.send(stale.request_update(name, 0))
+    mark = stale.stimulate(stale.request_update(name, 0))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-RU-04")

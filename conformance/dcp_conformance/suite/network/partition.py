@@ -37,8 +37,7 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     asked = bench.required(bench.until_instruction(_ASK_UPDATE, name), "a request for the missed value", "VD-PS-04")
     bench.answered(asked.seqno, old, "its own sequence number in the request", "VD-CMP-11")
     bench.waiting.repeated(_ASK_UPDATE, name, mark)
-    mark = bench.mark()
-    peers[0].send(peers[0].update(name, new, b"last"))
+    mark = peers[0].stimulate(peers[0].update(name, new, b"last"))
     # In the same beacon period the summaries arrive again; they contain nothing new now.
     for peer in peers[1:]:
         peer.send(peer.summary(name, new))
@@ -92,12 +91,10 @@ def both_directions(bench: Bench) -> None:
 def created_in_the_other_half(bench: Bench) -> None:
     source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=100, rep_cnt=count))
-    mark = bench.mark()
-    source.send(source.delete(name))
+    mark = source.stimulate(source.delete(name))
     bench.waiting.repeated(_DELETE, name, mark)
-    mark = bench.mark()
     create = other.create(name, value=b"other half", rep_cnt=count)
-    other.send(create)
+    mark = other.stimulate(create)
     bench.check_repeated(_CREATE, name, count, mark, "VD-PC-09")
     bench.equal(held(bench, name), create, "the variable in the database", "VD-PC-02")
 
@@ -117,8 +114,7 @@ def catches_up_with_all(bench: Bench) -> None:
     source, other = bench.peer(), bench.peer()
     known, unknown = bench.identifiers.var_ids(10), bench.identifiers.unknown_ids(10)
     bench.learn(source, *(source.create(each) for each in known))
-    mark = bench.mark()
-    other.send(*(other.summary(each, 3) for each in (*known, *unknown)))
+    mark = other.stimulate(*(other.summary(each, 3) for each in (*known, *unknown)))
     answered: set[int] = set()
     passed: set[int] = set()
 

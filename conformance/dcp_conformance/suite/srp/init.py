@@ -68,18 +68,8 @@ def mode(bench: Bench) -> None:
     bench.answered(shown.replace("-", "_"), expected, "queueMode")
 
 
-def _fresh_start(bench: Bench, restart: bool) -> None:
-    """Create state in SRP, restart it, and check that the state is gone."""
-    reporter = Reporter(bench)
-    if not _forgets(bench, reporter, restart) and reporter.application():
-        # An application may have submitted several reports before the first beacon, but not as many as are submitted
-        # now.
-        reporter.fill(_MANY)
-        _forgets(bench, reporter, restart, most=_MANY - 1)
-
-
-def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None = None) -> bool:
-    """Restart SRP and return whether its first report has seqno 0.
+def _forgets(bench: Bench, reporter: Reporter, most: int | None = None) -> bool:
+    """Create state in SRP, restart it, check that the state is gone, and return whether its first report has seqno 0.
 
     A wrong number is judged only if no application can have caused it. ``most``: the largest number that the first
     report may have, if not 0.
@@ -90,7 +80,7 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
         reporter.submit()
     until_report(bench)
     begun = bench.now()
-    if restart:
+    if bench.case.needs.restart:
         bench.control.restart()
     else:
         bench.must("UT-Reset")
@@ -130,10 +120,6 @@ def _numbers(bench: Bench, since: int) -> list[int]:
     window=8,
     needs=Needs(ut=("UT-Reset", "SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
 )
-def after_reset(bench: Bench) -> None:
-    _fresh_start(bench, restart=False)
-
-
 @case(
     "TC_SRP_INI_BV_05",
     "After a restart the neighbour table is empty and the sequence number is 0",
@@ -144,21 +130,25 @@ def after_reset(bench: Bench) -> None:
     needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp", "vardis"), restart=True),
     destructive=True,
 )
-def after_restart(bench: Bench) -> None:
-    _fresh_start(bench, restart=True)
+def fresh_start(bench: Bench) -> None:
+    reporter = Reporter(bench)
+    if not _forgets(bench, reporter) and reporter.application():
+        # An application may have submitted several reports before the first beacon, but not as many as are submitted
+        # now.
+        reporter.fill(_MANY)
+        _forgets(bench, reporter, most=_MANY - 1)
 
 
 def no_way_back(bench: Bench) -> str | None:
     """Return why a deregistered protocol could not be registered again, or None; for ``Needs.when``."""
-    upper = bench.session.upper
-    if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
+    if bench.session.can_restart or bench.services.offers("UT-Reset"):
         return None
     return "there is neither UT-Reset nor a command to restart the implementation (--restart)"
 
 
 def bring_back(bench: Bench) -> None:
     """Register the protocol that the case has deregistered again, by a reset or restart."""
-    if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
+    if bench.services.offers("UT-Reset"):
         bench.call("UT-Reset")
     else:
         bench.control.restart()

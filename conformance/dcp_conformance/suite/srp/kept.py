@@ -15,7 +15,7 @@ from dcp_conformance.suite.srp.soft_state import brief_timeout
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import CLEAR, DEREGISTER, QUERY, UNKNOWN_PROTOCOL, unused_protocol_id
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
-from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
+from dcp_conformance.test_steps.services import neighbours, numeric_data, safety_data, until_neighbour
 from dcp_conformance.test_steps.state_reports import Reporter
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -65,11 +65,7 @@ def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
 )
 def own_entries(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(3)]
-    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
-    values: list[dict[str, Any]] = [
-        {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
-        for number in (1, 2, 3)
-    ]
+    values = [numeric_data(bench, number) for number in (1, 2, 3)]
     reports = [
         bench.records.report(peer.node_id, 1000 * number, **data)
         for number, (peer, data) in enumerate(zip(peers, values, strict=True), 1)

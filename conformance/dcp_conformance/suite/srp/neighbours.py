@@ -10,10 +10,11 @@ from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, lifetime
+from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, entered, lifetime
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_steps.pacing import paced
 from dcp_conformance.test_steps.services import (
+    binary_identifiers,
     nanoseconds,
     neighbour,
     neighbours,
@@ -35,14 +36,6 @@ _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 _CROWD, _FEWEST = 64, 12
 _DAMAGED, _BURST = 12, 90
 _SIXTEEN_BITS = 1 << 16
-
-
-def _scaled(bench: Bench, milliseconds: int) -> int:
-    return round(milliseconds * bench.session.timing_scale)
-
-
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
 
 
 # -- timeouts ----------------------------------------------------------------------------------------------------------
@@ -106,12 +99,9 @@ _TIMEOUTS: dict[str, tuple[int, ...]] = {"lowered": (3000, 400), "raised": (400,
     variants=_TIMEOUTS,
 )
 def changed_timeout(bench: Bench, values: tuple[int, ...]) -> None:
-    first, *others = (_scaled(bench, each) for each in values)
+    first, *others = (round(each * bench.session.timing_scale) for each in values)
     with parameters_set(bench, "SRP", **{TIMEOUT: first}):
-        peer = bench.peer()
-        begun = bench.now()
-        _report(bench, [peer], 1)
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         for value in others:
             bench.must("SRP-SetParameter", name=TIMEOUT, value=value)
         lifetime(bench, [peer], begun, others[-1] * MS)
@@ -130,10 +120,7 @@ def changed_timeout(bench: Bench, values: tuple[int, ...]) -> None:
 )
 def long_timeout(bench: Bench, milliseconds: int) -> None:
     with parameters_set(bench, "SRP", **{TIMEOUT: milliseconds}):
-        peer = bench.peer()
-        begun = bench.now()
-        _report(bench, [peer], 1)
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         lifetime(bench, [peer], begun, milliseconds * MS)
 
 
@@ -176,7 +163,7 @@ def entered_again(bench: Bench, seqno: int) -> None:
     stimulus="records of two nodes whose identifiers differ in octet {variant} only, and of one as close to the node",
     expect="an entry of each with its own record",
     window=8,
-    needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), when=_binary),
+    needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), when=binary_identifiers),
     variants={f"{place}": place for place in range(6)},
 )
 def alike(bench: Bench, place: int) -> None:

@@ -46,7 +46,7 @@ def _reports(bench: Bench, since: int = 0) -> list[ReceivedBeacon]:
     needs=Needs(entities=("srp",)),
 )
 def one_record(bench: Bench) -> None:
-    if bench.session.upper is not None and "SRP-UpdateSafetyData" in bench.session.upper.methods:
+    if bench.services.offers("SRP-UpdateSafetyData"):
         reporter = Reporter(bench)
         for _ in (1, 2):
             reporter.submit()

@@ -64,10 +64,18 @@ def _present(bench: Bench, node_ids: set[bytes]) -> None:
 @contextmanager
 def brief_timeout(bench: Bench) -> Iterator[int]:
     """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
-    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
+    settable = bench.services.offers("SRP-SetParameter")
     length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(TIMEOUT)
     with parameters_set(bench, "SRP", **({TIMEOUT: length} if settable else {})):
         yield length
+
+
+def entered(bench: Bench) -> tuple[Peer, int]:
+    """Send a record of a new neighbour and wait for its entry; return the neighbour, and the time (ns) before."""
+    peer, begun = bench.peer(), bench.now()
+    peer.send(bench.records.report(peer.node_id, 1))
+    until_neighbour(bench, peer.node_id)
+    return peer, begun
 
 
 def _offsets(bench: Bench) -> dict[str, int]:
@@ -157,7 +165,6 @@ def _looked_up(bench: Bench, peer: Peer) -> list[dict[str, object]]:
 def refreshed(bench: Bench) -> None:
     with brief_timeout(bench) as length:
         peer = bench.peer()
-        begun = bench.now()
         for number in range(3):
             begun = bench.now()
             peer.send(bench.records.report(peer.node_id, number))
@@ -166,8 +173,7 @@ def refreshed(bench: Bench) -> None:
             if not there and bench.now() - begun < length * MS:
                 bench.missing("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.records.report(peer.node_id, 5))
-        begun = bench.now()
-        lifetime(bench, [peer], begun, length * MS)
+        lifetime(bench, [peer], bench.now(), length * MS)
 
 
 @case(
@@ -210,10 +216,7 @@ def silent_among_others(bench: Bench) -> None:
 )
 def while_others_rest(bench: Bench) -> None:
     with brief_timeout(bench) as length:
-        peer = bench.peer()
-        begun = bench.now()
-        peer.send(bench.records.report(peer.node_id, 1))
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         with bench.services.deactivated("VD"), bench.services.deactivated("BP"):
             lifetime(bench, [peer], begun, length * MS)
 
@@ -272,9 +275,7 @@ def others_stay(bench: Bench) -> None:
 )
 def not_prolonged(bench: Bench, name: str) -> None:
     with brief_timeout(bench) as length:
-        peer, begun = bench.peer(), bench.now()
-        peer.send(bench.records.report(peer.node_id, 1))
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         if bench.now() - begun > length * MS // 2:
             bench.verdicts.not_applicable("the calls of this case take longer than half of the neighbour table timeout")
         octets = bench.builder.srp(bench.records.report(peer.node_id, 2)).octets
@@ -296,9 +297,7 @@ def set_again(bench: Bench) -> None:
     # Almost twice this time is later than any tolerance allows.
     length = round(max(1000 * bench.session.timing_scale, 2 * bench.sut.pixit.timer_tolerance_ms))
     with parameters_set(bench, "SRP", **{TIMEOUT: length}):
-        peer, begun = bench.peer(), bench.now()
-        peer.send(bench.records.report(peer.node_id, 1))
-        until_neighbour(bench, peer.node_id)
+        peer, begun = entered(bench)
         # The interval at which the table is traversed may restart, and is a fifth of the timeout.
         end = begun + length * MS * 9 // 10
 

@@ -13,7 +13,7 @@ from dcp_spec.constants import BP_PROTID_SRP
 
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.services import neighbour, neighbours, rows, safety_data, until_neighbour
+from dcp_conformance.test_steps.services import neighbour, neighbours, numeric_data, rows, safety_data, until_neighbour
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -36,12 +36,6 @@ def _require_working(bench: Bench, after: str) -> None:
     bench.required(until_neighbour(bench, probe.node_id), f"an entry of another neighbour after {after}")
 
 
-def _small(bench: Bench, number: int) -> dict[str, Any]:
-    """Return safety data as keyword arguments of :meth:`.Records.report`, numeric fields only."""
-    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
-    return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
-
-
 @case(
     "TC_SRP_RX_BV_01",
     "A received record is stored unchanged, with the time of its reception",
@@ -51,7 +45,7 @@ def _small(bench: Bench, number: int) -> dict[str, Any]:
     needs=_TABLE,
 )
 def stored(bench: Bench) -> None:
-    peer, values = bench.peer(), _small(bench, 1)
+    peer, values = bench.peer(), numeric_data(bench, 1)
     report = bench.records.report(peer.node_id, 77, **values)
     sent = bench.lower.wall()
     peer.send(report)
@@ -75,14 +69,14 @@ def stored(bench: Bench) -> None:
 )
 def replaced(bench: Bench) -> None:
     peer = bench.peer()
-    peer.send(bench.records.report(peer.node_id, 5, **_small(bench, 1)))
+    peer.send(bench.records.report(peer.node_id, 5, **numeric_data(bench, 1)))
     first = bench.required(until_neighbour(bench, peer.node_id), "an entry with the first record", "SRP-RX-03")
     entries = [first]
 
     def measure() -> int:
         bench.wait(2)
         number = 5 + len(entries)
-        values = _small(bench, number - 4)
+        values = numeric_data(bench, number - 4)
         peer.send(bench.records.report(peer.node_id, number, **values))
         second = bench.required(
             until_neighbour(bench, peer.node_id, number), "an entry with the newer record", "SRP-RX-03"
@@ -96,7 +90,7 @@ def replaced(bench: Bench) -> None:
     def measure_equal() -> int:
         bench.wait(2)
         before = entries[-1]
-        values = _small(bench, len(entries) + 10)
+        values = numeric_data(bench, len(entries) + 10)
         peer.send(bench.records.report(peer.node_id, before["seqno"], **values))
         _require_working(bench, "a record with the same number")
         entry = bench.required(neighbour(bench, peer.node_id), "an entry of the neighbour", "SRP-RX-03")
@@ -121,7 +115,7 @@ def _extremes(kind: str) -> tuple[float, float]:
 
 def _unusual(bench: Bench) -> Iterator[tuple[str, dict[str, Any], int | None]]:
     """Yield safety data in the order of the records, with a name, and the tStamp of the record unless it is usual."""
-    usual, stamp = _small(bench, 1), bench.profile.types.timestamp
+    usual, stamp = numeric_data(bench, 1), bench.profile.types.timestamp
     kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
 
     def each(change: Callable[[Any, str], Any]) -> dict[str, Any]:
@@ -187,10 +181,9 @@ def _near(shown: object, value: float) -> bool:
 def not_newer(bench: Bench, seqno: int) -> None:
     _require_reception(bench)
     peer = bench.peer()
-    peer.send(bench.records.report(peer.node_id, 100, **_small(bench, 1)))
-    if until_neighbour(bench, peer.node_id, 100) is None:
-        bench.inconclusive("an entry with the first record", "no such entry")
-    values = _small(bench, 2)
+    peer.send(bench.records.report(peer.node_id, 100, **numeric_data(bench, 1)))
+    bench.needed(until_neighbour(bench, peer.node_id, 100), "an entry with the first record", "no such entry")
+    values = numeric_data(bench, 2)
     peer.send(bench.records.report(peer.node_id, seqno, **values))
     _require_working(bench, "a record with an older sequence number")
     entry = neighbour(bench, peer.node_id) or {}
@@ -359,9 +352,7 @@ def own_data(bench: Bench) -> None:
 def extra_fields(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.records.report(peer.node_id, 1))
-    entry = until_neighbour(bench, peer.node_id)
-    if entry is None:
-        bench.inconclusive("an entry of the neighbour", "no entry")
+    entry = bench.needed(until_neighbour(bench, peer.node_id), "an entry of the neighbour", "no entry")
     extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
     bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
     claimed = bench.sut.pics.neighbour_statistics

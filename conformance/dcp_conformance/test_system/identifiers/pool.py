@@ -166,7 +166,7 @@ class IdentifierPool:
         # Only used identifiers are checked one by one: there are hundreds of others, and this is called often.
         taken = {*self._kept, *self.foreign, *without, *self.in_use()}
         taken.update([each for each in tuple(self._uses) if each not in taken and not self.is_unknown(each, now)])
-        every = self._all()
+        every = range(self.first, self.first + self.size)
         left = self.size - sum(each in every for each in taken)
         return left if self._capacity is None else min(left, self._room(now, without))
 
@@ -224,6 +224,3 @@ class IdentifierPool:
         if settled and (use.leaves is None or use.leaves > now):
             return False
         return self._timed and use.peers_only and (use.newest is None or use.newest < creation_time)
-
-    def _all(self) -> range:
-        return range(self.first, self.first + self.size)

@@ -13,6 +13,7 @@ A failed check is one of two kinds:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_codec.codec import Codec
@@ -33,34 +34,25 @@ class Excuse(NamedTuple):
     """The faults of the tester, if they are the only reason, so that another execution may decide the check."""
 
 
+@dataclass(eq=False)
 class Excuses:
     """Finds the excuses of one case."""
 
-    def __init__(
-        self,
-        codec: Codec,
-        clock: Clock,
-        traffic: Traffic,
-        heard: Sequence[ReceivedBeacon],
-        created: Collection[int],
-        run: RunFindings,
-        losses: Losses,
-        assumptions: Assumptions,
-    ) -> None:
-        """``heard``: the beacons of the case. ``created``: identifiers of the variables that the case creates."""
-        self._codec = codec
-        self._clock = clock
-        self._traffic = traffic
-        self._heard = heard
-        self._created = created
-        self._run = run
-        self.losses = losses
-        self.assumptions = assumptions
-        self._relied: set[Misread] = set()
-        self.about_layout = False
-        """Whether the case tests that beacons can be decoded. It reports another layout; no other case does."""
-        self._disturbed = False
-        """Whether a failure of this case was excused by losses or assumptions."""
+    _codec: Codec
+    _clock: Clock
+    _traffic: Traffic
+    _heard: Sequence[ReceivedBeacon]
+    """The beacons of the case."""
+    _created: Collection[int]
+    """Identifiers of the variables that the case creates."""
+    _run: RunFindings
+    losses: Losses
+    assumptions: Assumptions
+    _relied: set[Misread] = field(default_factory=set, init=False)
+    about_layout: bool = field(default=False, init=False)
+    """Whether the case tests that beacons can be decoded. It reports another layout; no other case does."""
+    _disturbed: bool = field(default=False, init=False)
+    """Whether a failure of this case was excused by losses or assumptions."""
 
     def relies_on(self, field: Misread) -> None:
         """Record that the expectations of the case, from now on, depend on how the implementation reads this field.

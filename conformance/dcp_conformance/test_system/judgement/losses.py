@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
@@ -21,30 +22,23 @@ _LARGEST_GAP = 5
 _HELD, _SILENT = 0.25, 2
 
 
+@dataclass(eq=False)
 class Losses:
     """Frames dropped by the kernel, effects of an impaired link, late steps, and gaps between sequence numbers."""
 
-    def __init__(
-        self,
-        link: LowerTester,
-        traffic: Traffic,
-        heard: Sequence[ReceivedBeacon],
-        sut: SutProperties,
-        steps: Steps,
-        counting: Counting,
-    ) -> None:
-        """``heard``: the beacons of the case, which the listener extends. ``counting``: of the whole run."""
-        self._link = link
-        self._traffic = traffic
-        self._heard = heard
-        self._sut = sut
-        self._steps = steps
-        self._counting = counting
-        self.dropped = 0
-        """Number of frames that the kernel dropped in this case."""
-        self._incidents: list[Incident] = []
-        self._incident_frames: list[int] = []
-        """For each incident the number of its frame in the recording; 0 for a frame that is not in the recording."""
+    _link: LowerTester
+    _traffic: Traffic
+    _heard: Sequence[ReceivedBeacon]
+    """The beacons of the case, which the listener extends."""
+    _sut: SutProperties
+    _steps: Steps
+    _counting: Counting
+    """Of the whole run."""
+    dropped: int = field(default=0, init=False)
+    """Number of frames that the kernel dropped in this case."""
+    _incidents: list[Incident] = field(default_factory=list, init=False)
+    _incident_frames: list[int] = field(default_factory=list, init=False)
+    """For each incident the number of its frame in the recording; 0 for a frame that is not in the recording."""
 
     def take_incidents(self, number: int = 0) -> list[Incident]:
         """Ask the link for losses since the last call. Return the effects of an impaired link in this case so far.

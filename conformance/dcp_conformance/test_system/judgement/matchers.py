@@ -125,11 +125,16 @@ class Missing(Statements):
         *requirements: str,
         seen: object = NOTHING,
         frames: Iterable[Evidence] = (),
-        patience: float = 1.0,
     ) -> T:
         """As :meth:`some`; return what was found, and stop the case if there is nothing."""
-        if not self.some(found, expected, *requirements, seen=seen, frames=frames, patience=patience) or found is None:
+        if not self.some(found, expected, *requirements, seen=seen, frames=frames) or found is None:
             raise StopCase
+        return found
+
+    def needed(self, found: T | None, what: str, observed: str = NOTHING, /, *requirements: str) -> T:
+        """Return what was found; stop the case as inconclusive if there is nothing, since it needs it."""
+        if not found:
+            self._verdicts.inconclusive(what, observed, *requirements)
         return found
 
     def complete(
@@ -305,7 +310,6 @@ class Matchers(Missing, Shown):
         /,
         *requirements: str,
         most: float | None = None,
-        given: object = True,
         frames: Iterable[Evidence] | None = None,
     ) -> bool:
         """Check the number of frames, records or notifications: too few are missing, too many are shown.
@@ -323,7 +327,7 @@ class Matchers(Missing, Shown):
             f"{number}",
             requirements,
             frames=evidence_in(found) if frames is None else frames,
-            shown=number > limit and given and self._verdicts.in_time,
+            shown=number > limit and self._verdicts.in_time,
             several=True,
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import NoReturn
 
 from dcp_spec.catalogue.readings import reading as reading_of
@@ -36,32 +36,24 @@ def _ids(requirements: Sequence[str]) -> tuple[str, ...]:
     return tuple([identifier for each in requirements for identifier in each.split()])
 
 
+@dataclass(eq=False)
 class Verdicts:
     """Records the checks of one case; a failed check with an excuse is inconclusive (:mod:`.excuses`)."""
 
-    def __init__(
-        self,
-        case: Case,
-        codec: Codec,
-        clock: Clock,
-        traffic: Traffic,
-        excuses: Excuses,
-        declared_readings: Mapping[str, str] = MappingProxyType({}),
-    ) -> None:
-        self._case = case
-        self._codec = codec
-        self._clock = clock
-        self._traffic = traffic
-        self._excuses = excuses
-        self._declared_readings = declared_readings
-        self.checks: list[Check] = []
-        """All checks so far."""
-        self.readings: dict[str, str] = {}
-        """Observed readings of disputed text, by identifier in the catalogue."""
-        self._disturbances: dict[int, str] = {}
-        """The faults of the tester by the index of the check that only they have left undecided."""
-        self._proved = False
-        """Whether received octets or sequence numbers prove a failure of this case."""
+    _case: Case
+    _codec: Codec
+    _clock: Clock
+    _traffic: Traffic
+    _excuses: Excuses
+    _declared_readings: Mapping[str, str] = field(default_factory=dict)
+    checks: list[Check] = field(default_factory=list, init=False)
+    """All checks so far."""
+    readings: dict[str, str] = field(default_factory=dict, init=False)
+    """Observed readings of disputed text, by identifier in the catalogue."""
+    _disturbances: dict[int, str] = field(default_factory=dict, init=False)
+    """The faults of the tester by the index of the check that only they have left undecided."""
+    _proved: bool = field(default=False, init=False)
+    """Whether received octets or sequence numbers prove a failure of this case."""
 
     def check(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from dcp_spec.constants import ICType
@@ -30,32 +31,22 @@ class RunReceiver(Protocol):
         ...
 
 
+@dataclass(eq=False)
 class Receiver:
     """The frames and notifications that one case receives."""
 
-    def __init__(
-        self,
-        run: RunReceiver,
-        case_id: str,
-        link: LowerTester,
-        traffic: Traffic,
-        steps: Steps,
-        identifiers: Identifiers,
-        heard: list[ReceivedBeacon],
-    ) -> None:
-        """``heard``: the list to which beacons of the implementation are added."""
-        self._run = run
-        self._case_id = case_id
-        self._link = link
-        self._traffic = traffic
-        self._steps = steps
-        self._identifiers = identifiers
-        self.heard = heard
-        """The implementation's frames since the case began."""
-        self.others: list[ReceivedBeacon] = []
-        """Frames with another senderId that the tester has not sent."""
-        self.notifications: list[Notification] = []
-        """Notifications from the upper tester."""
+    _run: RunReceiver
+    _case_id: str
+    _link: LowerTester
+    _traffic: Traffic
+    _steps: Steps
+    _identifiers: Identifiers
+    heard: list[ReceivedBeacon]
+    """The implementation's frames since the case began."""
+    others: list[ReceivedBeacon] = field(default_factory=list, init=False)
+    """Frames with another senderId that the tester has not sent."""
+    notifications: list[Notification] = field(default_factory=list, init=False)
+    """Notifications from the upper tester."""
 
     def listen(self, deadline: int) -> Iterator[ReceivedBeacon]:
         """Yield the implementation's frames on reception, until the deadline (ns). Raises ``LowerTesterError``."""

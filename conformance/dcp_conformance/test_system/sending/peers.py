@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Unpack
 
 from dcp_spec.constants import IC_MAX_RECORDS
@@ -10,37 +11,33 @@ from dcp_spec.constants import IC_MAX_RECORDS
 from dcp_codec.values import ExtendedSafetyData, VarCreate, VardisRecord
 from dcp_conformance.frames.builder import Block, FrameBuilder, Lies
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
+from dcp_conformance.test_system.reception.waiting import Waiting
 from dcp_conformance.test_system.sut_properties import SutProperties
 
 from .records import CreationFields, Records
 from .transmission import Transmission
 
 
+@dataclass(eq=False)
 class Peer:
     """A virtual node. ``node_id``: its identifier in beacons; ``address``: the source address of its frames."""
 
-    def __init__(
-        self,
-        node_id: bytes,
-        address: bytes,
-        transmission: Transmission,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-    ) -> None:
-        self.node_id = node_id
-        self.address = address
-        self.seqno = sut.profile.behaviour.first_beacon_seqno
+    node_id: bytes
+    address: bytes
+    _transmission: Transmission
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _waiting: Waiting
+
+    def __post_init__(self) -> None:
+        self.seqno = self._sut.profile.behaviour.first_beacon_seqno
         """The sequence number of its next beacon."""
-        self._transmission = transmission
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self.update = records.update
-        self.delete = records.delete
-        self.summary = records.summary
-        self.request_update = records.request_update
-        self.request_create = records.request_create
+        self.update = self._records.update
+        self.delete = self._records.delete
+        self.summary = self._records.summary
+        self.request_update = self._records.request_update
+        self.request_create = self._records.request_create
 
     def send(
         self,
@@ -61,6 +58,12 @@ class Peer:
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding
         blocks = max(1, len(self._blocks(what)))
         return self._transmission.send(octets if cut is None else octets[:cut], self.address, blocks)
+
+    def stimulate(self, *what: Block | VardisRecord | ExtendedSafetyData | bytes) -> int:
+        """Send one beacon as :meth:`send` does; return the mark before it, for the reactions."""
+        mark = self._waiting.mark()
+        self.send(*what)
+        return mark
 
     def send_all(self, records: Iterable[VardisRecord]) -> None:
         """Send records in as many beacons as needed: no payload exceeds the implementation's own maximum size."""
@@ -129,28 +132,22 @@ class Peer:
         return self._records.create(var_id, self.node_id if producer is None else producer, **fields)
 
 
+@dataclass(eq=False)
 class Peers:
     """The peers of one case."""
 
-    def __init__(
-        self,
-        transmission: Transmission,
-        builder: FrameBuilder,
-        records: Records,
-        sut: SutProperties,
-        identifiers: Identifiers,
-    ) -> None:
-        self._transmission = transmission
-        self._builder = builder
-        self._records = records
-        self._sut = sut
-        self._identifiers = identifiers
-        self.made: list[Peer] = []
-        """The peers so far."""
+    _transmission: Transmission
+    _builder: FrameBuilder
+    _records: Records
+    _sut: SutProperties
+    _identifiers: Identifiers
+    _waiting: Waiting
+    made: list[Peer] = field(default_factory=list, init=False)
+    """The peers so far."""
 
     def new(self) -> Peer:
         """Return a virtual node that has not sent anything before. Raises ``NamesUsedUp``."""
         node_id, address = self._identifiers.new_node()
-        peer = Peer(node_id, address, self._transmission, self._builder, self._records, self._sut)
+        peer = Peer(node_id, address, self._transmission, self._builder, self._records, self._sut, self._waiting)
         self.made.append(peer)
         return peer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol, TypedDict, Unpack
 
 from dcp_codec.codec import Codec
@@ -40,24 +41,19 @@ class CreationFields(TypedDict, total=False):
     exact: bool
 
 
+@dataclass(eq=False)
 class Records:
     """Makes the records of one case."""
 
-    def __init__(
-        self,
-        codec: Codec,
-        clock: Clock,
-        run: LastTimeStamp,
-        sut: SutProperties,
-        identifiers: Identifiers,
-        verdicts: Verdicts,
-    ) -> None:
-        self._made = sampler(codec)
-        self._clock = clock
-        self._run = run
-        self._sut = sut
-        self._identifiers = identifiers
-        self._verdicts = verdicts
+    _codec: Codec
+    _clock: Clock
+    _run: LastTimeStamp
+    _sut: SutProperties
+    _identifiers: Identifiers
+    _verdicts: Verdicts
+
+    def __post_init__(self) -> None:
+        self._made = sampler(self._codec)
         self._short: dict[int, dict[bytes, bytes]] = {}
         """By maximum length: the shortened octets for each wanted text."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from dcp_codec.codec import Codec
@@ -44,30 +45,19 @@ class RunServices(Protocol):
         ...
 
 
+@dataclass(eq=False)
 class Services:
     """Calls services for one case, and checks their statuses. Calls raise ``UpperTesterError`` without an answer."""
 
-    def __init__(
-        self,
-        run: RunServices,
-        case_id: str,
-        link: LowerTester,
-        traffic: Traffic,
-        steps: Steps,
-        identifiers: Identifiers,
-        receiver: Receiver,
-        verdicts: Verdicts,
-        changes: Changes,
-    ) -> None:
-        self._run = run
-        self._case_id = case_id
-        self._link = link
-        self._traffic = traffic
-        self._steps = steps
-        self._identifiers = identifiers
-        self._receiver = receiver
-        self._verdicts = verdicts
-        self._changes = changes
+    _run: RunServices
+    _case_id: str
+    _link: LowerTester
+    _traffic: Traffic
+    _steps: Steps
+    _identifiers: Identifiers
+    _receiver: Receiver
+    _verdicts: Verdicts
+    _changes: Changes
 
     @property
     def upper(self) -> UpperTester:
@@ -75,6 +65,10 @@ class Services:
         if self._run.upper is None:
             raise UpperTesterError("this case needs an upper tester, but none is configured")
         return self._run.upper
+
+    def offers(self, *methods: str) -> bool:
+        """Return whether there is an upper tester that offers these methods."""
+        return self._run.upper is not None and self._run.upper.methods >= set(methods)
 
     def call(self, method: str, /, **params: Any) -> Answer:
         """Call a service of the implementation; the answer may be an error."""

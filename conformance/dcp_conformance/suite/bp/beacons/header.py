@@ -126,8 +126,7 @@ def constants(bench: Bench) -> None:
 
 def _registered(bench: Bench) -> set[int] | None:
     """Return the registered protocol identifiers; None if they cannot be listed."""
-    upper = bench.session.upper
-    if upper is None or LIST not in upper.methods:
+    if not bench.services.offers(LIST):
         return None
     return {
         each["protocolId"] for each in rows(bench.must(LIST), "protocols") if isinstance(each.get("protocolId"), int)
@@ -176,8 +175,7 @@ def order_of_fields(bench: Bench) -> None:
     needs=Needs(header=("numPayloads",)),
 )
 def predefined_identifiers(bench: Bench) -> None:
-    upper = bench.session.upper
-    reports = upper is not None and "SRP-UpdateSafetyData" in upper.methods and bool(bench.profile.srp.safety_data)
+    reports = bench.services.offers("SRP-UpdateSafetyData") and bool(bench.profile.srp.safety_data)
     start = bench.mark()
     with talking(bench, clients=0):
         if reports:
@@ -390,8 +388,7 @@ def silence(bench: Bench) -> None:
         if len(each.octets) <= header_octets(bench) or read(bench, each).fields.get("numPayloads") == 0
     ]
     bench.none(bare, "no beacon without blocks")
-    upper = bench.session.upper
-    if heard and upper is not None and LIST in upper.methods:
+    if heard and bench.services.offers(LIST):
         # Each payload belongs to a registered client.
         clients = set(registered(bench))
         bench.every(
@@ -399,7 +396,7 @@ def silence(bench: Bench) -> None:
             lambda each: {prot_id for prot_id, _ in each.blocks} & clients,
             "a block of a registered protocol in each beacon",
         )
-    if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
+    if heard and bench.services.offers("UT-Reset", QUERY):
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]
         what = f"{len(heard)} beacons; SRP and VarDis have {waiting} buffered payloads"
         bench.info("Is the implementation silent after a reset?", what, frames=heard[:8])

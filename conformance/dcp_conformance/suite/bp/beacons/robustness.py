@@ -73,6 +73,44 @@ def _other_layout(name: str) -> Needs:
     return Needs(when=when)
 
 
+@case(
+    "TC_BP_RX_BI_20",
+    "A receiver survives beacons in the layout of version 1.0, and drops them if their header breaks a rule",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.0 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
+    needs=_other_layout("dcp-1.0"),
+    value="dcp-1.0",
+)
+@case(
+    "TC_BP_RX_BI_21",
+    "A receiver survives beacons in the layout of version 1.1, and drops them if their header breaks a rule",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.1 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
+    needs=_other_layout("dcp-1.1"),
+    value="dcp-1.1",
+)
+@case(
+    "TC_BP_RX_BI_22",
+    "A receiver survives beacons in the layout of versions 1.2 and 1.3, and drops them if their header breaks a rule",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.2 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
+    needs=_other_layout("dcp-1.3"),
+    value="dcp-1.3",
+)
+@case(
+    "TC_BP_RX_BI_23",
+    "A receiver survives beacons in the layout of version 2.0, and drops them if their header breaks a rule",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 2.0 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
+    needs=_other_layout("dcp-2.0"),
+    value="dcp-2.0",
+    # In other layouts the header has a length of 4369 octets, more than the frame (X02).
+    destructive=True,
+)
 def foreign_layout(bench: Bench, name: str) -> None:
     """Send a short and a long beacon in another version's layout; each must be dropped if its header breaks a rule."""
     types = bench.profile.types
@@ -93,56 +131,6 @@ def foreign_layout(bench: Bench, name: str) -> None:
             bench.none(found, f"{what} is dropped ({rule})", rule)
         else:
             bench.info(f"Is {what} processed?", "yes" if found else "no")
-
-
-@case(
-    "TC_BP_RX_BI_20",
-    "A receiver survives beacons in the layout of version 1.0, and drops them if their header breaks a rule",
-    requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.0 with summaries of unknown variables; then a valid beacon",
-    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
-    needs=_other_layout("dcp-1.0"),
-)
-def layout_of_1_0(bench: Bench) -> None:
-    foreign_layout(bench, "dcp-1.0")
-
-
-@case(
-    "TC_BP_RX_BI_21",
-    "A receiver survives beacons in the layout of version 1.1, and drops them if their header breaks a rule",
-    requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.1 with summaries of unknown variables; then a valid beacon",
-    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
-    needs=_other_layout("dcp-1.1"),
-)
-def layout_of_1_1(bench: Bench) -> None:
-    foreign_layout(bench, "dcp-1.1")
-
-
-@case(
-    "TC_BP_RX_BI_22",
-    "A receiver survives beacons in the layout of versions 1.2 and 1.3, and drops them if their header breaks a rule",
-    requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.2 with summaries of unknown variables; then a valid beacon",
-    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
-    needs=_other_layout("dcp-1.3"),
-)
-def layout_of_1_2(bench: Bench) -> None:
-    foreign_layout(bench, "dcp-1.3")
-
-
-@case(
-    "TC_BP_RX_BI_23",
-    "A receiver survives beacons in the layout of version 2.0, and drops them if their header breaks a rule",
-    requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 2.0 with summaries of unknown variables; then a valid beacon",
-    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
-    needs=_other_layout("dcp-2.0"),
-    # In other layouts the header has a length of 4369 octets, more than the frame (X02).
-    destructive=True,
-)
-def layout_of_2_0(bench: Bench) -> None:
-    foreign_layout(bench, "dcp-2.0")
 
 
 @case(

@@ -37,8 +37,7 @@ def first_number(bench: Bench, old: Sequence[ReceivedBeacon], new: Sequence[Rece
     Frames sent before the restart may be heard after it: if the sequence numbers decrease, the first beacon is the one
     where they do.
     """
-    if not new:
-        bench.inconclusive("a beacon after the restart", "none in time")
+    bench.needed(new, "a beacon after the restart")
     for before, after in itertools.pairwise([*old[-1:], *new]):
         if before.seqno is not None and after.seqno is not None and after.seqno < before.seqno:
             return after

@@ -26,7 +26,6 @@ from dcp_conformance.test_steps.bp_clients import (
     TRANSMITTED,
     BPClient,
     indications,
-    needed,
     some_beacons,
     talking,
     wait_for_notifications,
@@ -127,8 +126,7 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
 
     ``sure``: whether the implementation had payloads to send all the time; if not, too few beacons are not a failure.
     """
-    if found is None:
-        bench.inconclusive("enough beacons to estimate their mean interval", "too few beacons", *requirements)
+    found = bench.needed(found, "enough beacons to estimate their mean interval", "too few beacons", *requirements)
     tolerance = bench.sut.pixit.period_tolerance * period
     low, high = found.mean - found.margin, found.mean + found.margin
     expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.sut.pixit.period_tolerance:.0%}"
@@ -188,12 +186,11 @@ def mean_period(bench: Bench) -> None:
 )
 def other_period(bench: Bench, factor: float) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "beacons before the change")
+        client.put_on_air("beacons before the change")
         wanted = round(bench.sut.parameter(PERIOD) * factor)
         with parameters_set(bench, "BP", **{PERIOD: wanted}):
             value: float = wanted
-            if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
+            if bench.services.offers("BP-GetParameters"):
                 # The resolution of times is up to the implementation.
                 observed = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
                 if isinstance(observed, int | float) and abs(observed - value) < abs(value - value / factor) / 2:
@@ -221,9 +218,7 @@ def delay_of_payloads(bench: Bench) -> None:
             payload = client.payload()
             start = bench.now()
             client.transmit(payload)
-            heard = client.until_sent(payload)
-            if heard is None:
-                bench.inconclusive("a beacon with each payload", f"{number} of 5 in time")
+            heard = bench.needed(client.until_sent(payload), "a beacon with each payload", f"{number} of 5 in time")
             delays.append(max(0, heard.time - start) / MS)
             bench.wait(0.3 + 0.2 * number)
     observed = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.sut.parameter(PERIOD)} ms"
@@ -321,8 +316,7 @@ def clock_offset(bench: Bench, client: BPClient) -> tuple[int, int]:
         stamp = (client.entry() or {}).get("timeStampRegistration")
         if isinstance(stamp, int):
             stamps.append((after - before, stamp - (before + after) // 2))
-    if not stamps:
-        bench.inconclusive("the time of a registration", "not in BP-ListRegisteredProtocols")
+    bench.needed(stamps, "the time of a registration", "not in BP-ListRegisteredProtocols")
     # The shortest call gives the most precise estimate.
     duration, offset = min(stamps)
     return offset, duration // 2

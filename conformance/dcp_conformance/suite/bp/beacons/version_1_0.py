@@ -36,8 +36,7 @@ def empty_payload(bench: Bench) -> None:
     with BPClient(bench, _QUEUE) as client:
 
         def act() -> tuple[int | None, int | None]:
-            for _ in range(2):
-                client.transmit(client.payload())
+            client.transmit_new(2)
             before = client.number()
             bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
             return before, client.number()

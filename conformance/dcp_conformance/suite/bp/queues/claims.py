@@ -33,8 +33,7 @@ def triggered(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as steady, BPClient(bench, ONCE) as client:
         steady.transmit(steady.payload())
         for _ in range(_ATTEMPTS):
-            if not bench.beacons(1):
-                bench.inconclusive("beacons with the payload of a client with mode REPEAT", "silence")
+            bench.needed(bench.beacons(1), "beacons with the payload of a client with mode REPEAT", "silence")
             payload = client.payload()
             client.transmit(payload)
             # Measured from the end of the call: the upper tester may have taken long.

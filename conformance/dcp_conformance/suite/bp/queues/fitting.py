@@ -23,7 +23,6 @@ from dcp_conformance.test_steps.bp_clients import (
     block_header_octets,
     header_octets,
     listed,
-    needed,
     queue_mode,
     room,
 )
@@ -163,21 +162,11 @@ def head_of_line(bench: Bench) -> None:
         BPClient(bench, REPEAT, size=filler) as constant,
         BPClient(bench, queue_mode(bench), size=large, entries=4) as client,
     ):
-        constant.transmit(constant.payload(filler))
-        needed(bench, constant.until_sent(), "beacons with the first payload")
-        start = 0
-
-        def act() -> list[bytes]:
-            nonlocal start
-            start = len(bench.heard)
-            # The clients may take turns: the repeated payload is the first in one of two beacons.
-            payloads = [client.payload(size) for size in (large, large, small)]
-            for payload in payloads:
-                client.transmit(payload)
-            return payloads
-
+        constant.put_on_air("beacons with the first payload", size=filler)
+        # The clients may take turns: the repeated payload is the first in one of two beacons.
+        sizes = (large, large, small)
         # If the first has already been sent, there is nothing to overtake.
-        payloads = between_beacons(bench, "submission of three payloads", act, client.in_frame)
+        start, payloads = client.submit_between("submission of three payloads", lambda: [*map(client.payload, sizes)])
         bench.until(lambda heard: payloads[-1] in client.in_frame(heard), 12)
         sent = [payloads.index(each) for each in client.sent(start) if each in payloads]
         overtaken, late = 2 in sent and sent != [0, 1, 2], {0, 1} <= set(sent)
@@ -210,17 +199,8 @@ def head_of_line(bench: Bench) -> None:
 def large_among_small(bench: Bench) -> None:
     large = room(bench) - block_header_octets(bench)
     with BPClient(bench, queue_mode(bench), size=large, entries=4, several=True) as client:
-        start = 0
-
-        def act() -> list[bytes]:
-            nonlocal start
-            start = len(bench.heard)
-            payloads = [client.payload(size) for size in (8, large, 8)]
-            for payload in payloads:
-                client.transmit(payload)
-            return payloads
-
-        payloads = between_beacons(bench, "submission of three payloads", act, client.in_frame)
+        sizes = (8, large, 8)
+        start, payloads = client.submit_between("submission of three payloads", lambda: [*map(client.payload, sizes)])
         bench.until(lambda _: set(payloads) <= set(client.sent(start)), 8)
         sent = [each for each in client.sent(start) if each in payloads]
         places = [payloads.index(each) for each in sent]

@@ -48,11 +48,8 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
     stimulus="between two beacons, a client with maxEntries 2 submits A, B, C",
     expect="BP-STATUS-OK each time; A is sent, then B, and never C",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
+    value=(DROPTAIL, 0),
 )
-def droptail(bench: Bench) -> None:
-    full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04 BP-TXP-09")
-
-
 @case(
     "TC_BP_QM_BV_02",
     "A full queue of mode DROPHEAD drops its oldest payload for the new one, and the status is BP-STATUS-OK",
@@ -60,13 +57,11 @@ def droptail(bench: Bench) -> None:
     stimulus="between two beacons, a client with maxEntries 2 submits A, B, C",
     expect="BP-STATUS-OK each time; B is sent, then C, and never A",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
+    value=(DROPHEAD, 1),
 )
-def drophead(bench: Bench) -> None:
-    full_queue(bench, DROPHEAD, [1, 2], "BP-QM-02", "BP-TXP-05")
-
-
-def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], dropping: str, statuses: str, /) -> None:
-    """Submit one payload more than the queue holds; the payloads with the indices ``kept`` must be sent, in order."""
+def full_queue(bench: Bench, kept: tuple[QueueingMode, int]) -> None:
+    mode, first = kept
+    dropping, *statuses = bench.case.requirements
     with BPClient(bench, mode, entries=2) as client:
         start = bench.mark()
         events = len(bench.traffic.events)
@@ -74,12 +69,12 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], dropping: str,
         observed = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
         refused = [text for text in observed if not text.endswith(("STATUS-OK", "STATUS_OK"))]
         if no_confirm(bench) is None:
-            bench.none(refused, "BP-STATUS-OK for each submission", statuses)
+            bench.none(refused, "BP-STATUS-OK for each submission", *statuses)
         sent = [each for each in until_done(client, start) if each in payloads]
-        right = [payloads[place] for place in kept]
+        right = payloads[first : first + 2]
         expected = f"payloads {listed(right, payloads)} in the beacons"
         bench.in_order(
-            sent, right, expected, f"{dropping} {statuses}", seen=listed(sent, payloads), frames=client.frames(start)
+            sent, right, expected, dropping, *statuses, seen=listed(sent, payloads), frames=client.frames(start)
         )
 
 
@@ -231,8 +226,7 @@ def repeat(bench: Bench) -> None:
 )
 def repeat_in_every_beacon(bench: Bench) -> None:
     with BPClient(bench, REPEAT, several=True) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         frames = bench.beacons(6)
         # A buffer has one payload: allowMultiplePayloads does not matter for it.
         most = max([len(client.in_frame(heard)) for heard in frames], default=0)
@@ -296,8 +290,7 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
 )
 def clear_repeated(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         bench.must(CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         bench.wait(4)

@@ -52,10 +52,8 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode, entries=most) as client:
 
         def act() -> tuple[list[bytes], int | None]:
-            payloads = [client.payload() for _ in range(most + _BEYOND)]
-            for payload in payloads:
-                # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
-                client.transmit(payload, must=False)
+            # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
+            payloads = client.transmit_new(most + _BEYOND, must=False)
             return payloads, client.number() if QUERY in bench.services.upper.methods else None
 
         start = bench.mark()
@@ -111,9 +109,7 @@ def beyond_an_octet(bench: Bench, mode: QueueingMode) -> None:
         with bench.services.deactivated("BP"):
             bench.wait(0.2)
             start = bench.mark()
-            payloads = [client.payload(8) for _ in range(_BEYOND_OCTET + _BEYOND)]
-            for payload in payloads:
-                client.transmit(payload, must=False)
+            payloads = client.transmit_new(_BEYOND_OCTET + _BEYOND, 8, must=False)
             bench.answered(client.number(), _BEYOND_OCTET, "buffered payloads", dropping)
         bench.wait(3)
         bench.must(CLEAR, protId=client.prot_id)
@@ -140,10 +136,7 @@ def unbounded(bench: Bench) -> None:
     with BPClient(bench, QueueingMode.QUEUE) as client:
 
         def act() -> tuple[list[bytes], int | None]:
-            payloads = [client.payload() for _ in range(count)]
-            for payload in payloads:
-                client.transmit(payload)
-            return payloads, client.number()
+            return client.transmit_new(count), client.number()
 
         start = bench.mark()
         what = f"submission of {count} payloads"

@@ -108,16 +108,8 @@ def sent_again(bench: Bench, mode: QueueingMode) -> None:
 )
 def equal_entries(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
-        payload, start = client.payload(), 0
-
-        def act() -> None:
-            nonlocal start
-            # The payloads of an earlier attempt have been sent.
-            start = bench.mark()
-            for _ in range(3):
-                client.transmit(payload)
-
-        between_beacons(bench, "submission of three payloads", act, client.in_frame)
+        payload = client.payload()
+        start, _ = client.submit_between("submission of three payloads", lambda: [payload] * 3)
         bench.until_quiet(client.in_frame, since=start)
         bench.repeated(len(client.sent(start)), 3, "payloads in beacons", frames=client.frames(start))
 
@@ -161,8 +153,7 @@ def told_of_sent_only(bench: Bench, full: _Full) -> None:
         def act() -> None:
             nonlocal since
             since = len(indications(bench, TRANSMITTED, client.prot_id))
-            for _ in range(3):
-                client.transmit(client.payload())
+            client.transmit_new(3)
             if full.clears:
                 bench.must(CLEAR, protId=client.prot_id)
 

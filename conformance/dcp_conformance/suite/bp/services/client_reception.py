@@ -34,6 +34,7 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.services import binary_identifiers
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.judgement.matchers import part_of
 from dcp_conformance.test_system.sending.peers import Peer
@@ -85,10 +86,6 @@ class _Fault:
     since: SpecVersion = SpecVersion.V1_0
 
 
-def _other_network(bench: Bench) -> int:
-    return int(bench.sut.parameter("BPPAR_NETWORK_ID")) ^ 1
-
-
 _FAULTS: dict[str, _Fault] = {
     "version": _Fault("a beacon with another version", "BP-RX-01", "version", lambda _: {"bp.version": 2}),
     "magic": _Fault("a beacon with another magicNo", "BP-RX-02", "magicNo", lambda _: {"bp.magicNo": 0x497F}),
@@ -98,7 +95,7 @@ _FAULTS: dict[str, _Fault] = {
         "a beacon with another networkId",
         "BP-RX-05",
         "networkId",
-        lambda bench: {"bp.networkId": _other_network(bench)},
+        lambda bench: {"bp.networkId": bench.sut.parameter("BPPAR_NETWORK_ID") ^ 1},
         V2_0,
     ),
 }
@@ -139,8 +136,7 @@ def wrong_header(bench: Bench, fault: _Fault) -> None:
 def own_sender(bench: Bench) -> None:
     if bench.session.sut_id is None:
         with BPClient(bench, ONCE) as client:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon of the implementation")
+            client.put_on_air("a beacon of the implementation")
     check_ignored(
         bench, lambda peer, block: peer.send(block, sender=bench.identifiers.sut_id), "a beacon with its own senderId"
     )
@@ -360,13 +356,11 @@ def after_other_blocks(bench: Bench) -> None:
 def numbers_after_reset(bench: Bench) -> None:
     for _ in range(2):
         with BPClient(bench, ONCE) as client:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon with the payload")
+            client.put_on_air()
     bench.must("UT-Reset")
     start = bench.mark()
     with BPClient(bench, ONCE) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
     check_first_number(bench, first_number(bench, bench.heard[:start], bench.heard[start:]))
 
 
@@ -402,14 +396,12 @@ def _without_room(bench: Bench) -> Iterator[None]:
 )
 def idle_clients(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         bench.until_quiet(lambda heard: heard, 6)
         last, pause = bench.heard[-1], bench.wait(3)
         with _without_room(bench):
             pause += bench.wait(3)
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the second payload")
+        client.put_on_air("a beacon with the second payload")
     following = bench.heard[bench.heard.index(last) + 1]
     if bench.successive(last, following) and pause:
         bench.inconclusive("no beacon during the pause", f"{len(pause)} beacons")
@@ -459,12 +451,7 @@ def broken_by(head: bytes, right: bytes) -> Iterator[str]:
     requirements="DATA-04",
     stimulus="a beacon with a block for a client and a special senderId: {variant}",
     expect="an indication of the block",
-    needs=Needs(
-        entities=(),
-        ut=CLIENT,
-        header=("senderId",),
-        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
-    ),
+    needs=Needs(entities=(), ut=CLIENT, header=("senderId",), when=binary_identifiers),
     variants={
         "zeros": lambda own: bytes(len(own)),
         "ones": lambda own: b"\xff" * len(own),
@@ -474,7 +461,6 @@ def broken_by(head: bytes, right: bytes) -> Iterator[str]:
 def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
     with BPClient(bench, ONCE) as client:
         if bench.session.sut_id is None:
-            client.transmit(client.payload())
-            needed(bench, client.until_sent(), "a beacon of the implementation")
+            client.put_on_air("a beacon of the implementation")
         bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.identifiers.sut_id))
         bench.some(client.until_received(), "an indication of the block")

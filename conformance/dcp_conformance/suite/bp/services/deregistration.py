@@ -78,8 +78,7 @@ def silent_after_deregistration(bench: Bench, mode: QueueingMode) -> None:
     bench.must(REGISTER, **client.registration)
     if mode is not ONCE:
         client.transmit(client.payload())
-    for _ in range(4 if mode.is_queue else 1):
-        client.transmit(client.payload())
+    client.transmit_new(4 if mode.is_queue else 1)
     if mode is not ONCE:
         needed(bench, client.until_sent(), "beacons with a payload of the client")
     bench.must(DEREGISTER, protId=client.prot_id)
@@ -100,8 +99,7 @@ def silent_after_deregistration(bench: Bench, mode: QueueingMode) -> None:
 def registers_again(bench: Bench, mode: QueueingMode) -> None:
     client = BPClient(bench, mode)
     bench.must(REGISTER, **client.registration)
-    for _ in range(3 if mode.is_queue else 1):
-        client.transmit(client.payload())
+    client.transmit_new(3 if mode.is_queue else 1)
     bench.must(DEREGISTER, protId=client.prot_id)
     quiet_from = bench.now() + bench.period // 5
     with client:

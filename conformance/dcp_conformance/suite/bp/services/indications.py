@@ -89,10 +89,6 @@ def unchanged(bench: Bench, size: int) -> None:
         bench.repeated(len(client.received()), 1, "indications", "BP-RXP-02")
 
 
-def _greatest(bench: Bench) -> int:
-    return int((1 << (8 * bench.profile.types.protocol_id.width)) - 1)
-
-
 @case(
     "TC_BP_RXP_BV_02",
     "Payloads are indicated to the client of their protocol and to no other",
@@ -107,7 +103,8 @@ def _greatest(bench: Bench) -> int:
 )
 def right_client(bench: Bench) -> None:
     with BPClient(bench, ONCE) as one, BPClient(bench, REPEAT) as two:
-        peer, first, second, greatest = bench.peer(), pattern(9), pattern(9, 1), _greatest(bench)
+        peer, first, second = bench.peer(), pattern(9), pattern(9, 1)
+        greatest = (1 << (8 * bench.profile.types.protocol_id.width)) - 1
         others = [Block(each, pattern(9, 2)) for each in (unused_protocol_id(bench), 0, greatest)]
         for blocks in ([Block(one.prot_id, first)], others, [*others[1:], Block(two.prot_id, second)]):
             peer.send(*blocks)

@@ -45,23 +45,18 @@ from dcp_conformance.test_system.bench import MS, Bench
 
 from .indications import no_indication
 
-V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
+V1_0, V1_1, V1_2 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V1_2
 
 
 # -- what others do ----------------------------------------------------------------------------------------------------
 
 
-def _another(bench: Bench, mode: QueueingMode = REPEAT) -> BPClient:
-    """Return a second client that has registered, submitted a payload and deregistered."""
-    with BPClient(bench, mode) as other:
-        other.transmit(other.payload())
-    return other
-
-
-def _cleared_another(bench: Bench, _: BPClient) -> None:
+def _another(bench: Bench, *, cleared: bool = False) -> None:
+    """Let a second client register, submit a payload and deregister."""
     with BPClient(bench, REPEAT) as other:
         other.transmit(other.payload())
-        bench.must(CLEAR, protId=other.prot_id)
+        if cleared:
+            bench.must(CLEAR, protId=other.prot_id)
 
 
 def _paused(bench: Bench, _: BPClient) -> None:
@@ -79,31 +74,27 @@ def _received(bench: Bench, client: BPClient) -> None:
     until(bench, lambda: b"received" in client.received())
 
 
-_EVENTS: dict[str, tuple[str, Callable[[Bench, BPClient], object], Needs]] = {
-    "registered-again": ("BP-REG-02", _second_registration, Needs(entities=(), ut=(*CLIENT, LIST, QUERY))),
-    "another-came-and-went": (
-        "BP-DRG-02",
-        lambda bench, _: _another(bench),
-        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
-    ),
-    "another-was-cleared": ("BP-CLR-03", _cleared_another, Needs(V1_1, entities=(), ut=(*CLIENT, LIST, QUERY, CLEAR))),
+_Event = Callable[[Bench, BPClient], object]
+#: Events with their requirements, the version that has them, and the methods that they need.
+_EVENTS: dict[str, tuple[str, _Event, SpecVersion, tuple[str, ...]]] = {
+    "registered-again": ("BP-REG-02", _second_registration, V1_0, ()),
+    "another-came-and-went": ("BP-DRG-02", lambda bench, _: _another(bench), V1_0, ()),
+    "another-was-cleared": ("BP-CLR-03", lambda bench, _: _another(bench, cleared=True), V1_1, (CLEAR,)),
     "unknown-was-deregistered": (
         "BP-DRG-01",
         lambda bench, _: bench.call(DEREGISTER, protId=unused_protocol_id(bench)),
-        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+        V1_0,
+        (),
     ),
     "too-large-was-refused": (
         "BP-TXP-02",
         lambda bench, client: bench.call(TRANSMIT, protId=client.prot_id, payload=bytes(65).hex()),
-        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+        V1_0,
+        (),
     ),
-    "was-listed": (
-        "BP-LST-01 BP-LST-03",
-        lambda bench, _: bench.must(LIST),
-        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
-    ),
-    "has-received": ("BP-RXP-01", _received, Needs(entities=(), ut=(*CLIENT, LIST, QUERY))),
-    "was-paused": ("BP-MGT-05", _paused, Needs(V1_2, entities=(), ut=(*CLIENT, LIST, QUERY, ACTIVATE, DEACTIVATE))),
+    "was-listed": ("BP-LST-01 BP-LST-03", lambda bench, _: bench.must(LIST), V1_0, ()),
+    "has-received": ("BP-RXP-01", _received, V1_0, ()),
+    "was-paused": ("BP-MGT-05", _paused, V1_2, (ACTIVATE, DEACTIVATE)),
 }
 
 
@@ -115,11 +106,15 @@ _EVENTS: dict[str, tuple[str, Callable[[Bench, BPClient], object], Needs]] = {
     expect="the list entry and the number of payloads as before; beacons with the payload continue",
     window=8,
     variants={
-        name: Variant(act, requirements=f"BP-REG-06 BP-QM-05 {requirements}", needs=needs)
-        for name, (requirements, act, needs) in _EVENTS.items()
+        name: Variant(
+            act,
+            requirements=f"BP-REG-06 BP-QM-05 {requirements}",
+            needs=Needs(since, entities=(), ut=(*CLIENT, LIST, QUERY, *methods)),
+        )
+        for name, (requirements, act, since, methods) in _EVENTS.items()
     },
 )
-def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
+def kept(bench: Bench, act: _Event) -> None:
     own = bench.case.requirements[2:]
     with BPClient(bench, REPEAT, name="first") as client:
         payload = client.payload()
@@ -243,8 +238,7 @@ def told_of_several(bench: Bench) -> None:
         def act() -> None:
             nonlocal start, told
             start, told = bench.mark(), len(indications(bench, TRANSMITTED, client.prot_id))
-            for _ in range(4):
-                client.transmit(client.payload())
+            client.transmit_new(4)
 
         between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.until_quiet(client.in_frame, since=start)
@@ -284,11 +278,11 @@ def identifier_of_refused(bench: Bench) -> None:
             bench.answered(answer.result.get("ownNodeIdentifier"), told, "ownNodeIdentifier")
 
 
-_IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {
-    "deregister": (DEREGISTER, "BP-DRG-06", V1_1),
-    "transmit": (TRANSMIT, "BP-TXP-14", V1_1),
-    "clear": (CLEAR, "BP-CLR-05", V1_1),
-    "query": (QUERY, "BP-QRY-04", V1_1),
+_IMMEDIATE = {
+    "deregister": (DEREGISTER, "BP-DRG-06"),
+    "transmit": (TRANSMIT, "BP-TXP-14"),
+    "clear": (CLEAR, "BP-CLR-05"),
+    "query": (QUERY, "BP-QRY-04"),
 }
 
 
@@ -302,11 +296,9 @@ _IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {
         name: Variant(
             method,
             requirements=requirement,
-            needs=Needs(
-                since, entities=(), ut=(*CLIENT, method), when=no_confirm if method == TRANSMIT else lambda _: None
-            ),
+            needs=Needs(V1_1, entities=(), ut=(*CLIENT, method), when=no_confirm if method == TRANSMIT else None),
         )
-        for name, (method, requirement, since) in _IMMEDIATE.items()
+        for name, (method, requirement) in _IMMEDIATE.items()
     },
 )
 def immediate(bench: Bench, method: str) -> None:
@@ -342,8 +334,7 @@ def immediate(bench: Bench, method: str) -> None:
 )
 def no_arrears(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air()
         before = len(bench.wait(8))
         with bench.services.deactivated("BP"):
             bench.wait(10)

@@ -402,8 +402,7 @@ def set_while_inactive(bench: Bench, setting: tuple[str, Callable[[int], int]]) 
     name, changed = setting
     new = changed(bench.sut.bound(name) if name == SIZE else bench.sut.parameter(name))
     with BPClient(bench, REPEAT, size=8) as client, ExitStack() as stack:
-        client.transmit(client.payload(8))
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air(size=8)
         largest = largest_payload(bench)
         with bench.services.deactivated("BP"):
             stack.enter_context(parameters_set(bench, "BP", **{name: new}))

@@ -22,7 +22,6 @@ from dcp_conformance.test_steps.bp_clients import (
     TRANSMIT,
     UNKNOWN_PROTOCOL,
     BPClient,
-    needed,
     registered,
     until,
 )
@@ -46,9 +45,7 @@ _SWITCHES = Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE))
 )
 def switched_off(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        payload = client.payload()
-        client.transmit(payload)
-        needed(bench, client.until_sent(), "beacons before the deactivation")
+        payload = client.put_on_air("beacons before the deactivation")
         bench.expect_status(OK, DEACTIVATE, "BP-MGT-01")
         # A beacon sent before the deactivation may still be in transit to the tester.
         quiet_from = bench.now() + bench.period // 5
@@ -156,8 +153,7 @@ def switched_twice(bench: Bench) -> None:
 )
 def activated_again_and_again(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "beacons before the first activation")
+        client.put_on_air("beacons before the first activation")
         since = bench.now()
         # A slow upper tester calls less often, which only makes the test easier.
         while bench.now() < since + 8 * bench.period:
@@ -178,8 +174,7 @@ def activated_again_and_again(bench: Bench) -> None:
 )
 def without_vardis(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        needed(bench, client.until_sent(), "beacons before the deactivation")
+        client.put_on_air("beacons before the deactivation")
         with bench.services.deactivated("VD"):
             since = bench.now()
             bench.wait(6)

@@ -306,7 +306,7 @@ def other_network(bench: Bench) -> None:
 )
 def default_period(bench: Bench) -> None:
     configured = bench.sut.pixit.beacon_period_ms
-    if bench.session.upper is not None and GET in bench.session.upper.methods:
+    if bench.services.offers(GET):
         period = values(bench).get(PERIOD)
         near = isinstance(period, int | float) and 80 <= period <= 120
         if not near and period == configured:

@@ -71,13 +71,9 @@ def register(bench: Bench, mode: QueueingMode) -> None:
     bench.call(DEREGISTER, protId=client.prot_id)
     if not bench.proved(entry is not None, "the client in the list", "not in the list", "BP-REG-06") or entry is None:
         return
-    names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
-    if bench.features.allow_multiple_payloads and mode.is_queue:
-        # Both fields are irrelevant for the other modes.
-        names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
-    for listed, given in names.items():
-        right, observed = client.registration[given], entry.get(listed)
-        bench.answered(observed, right, f"{listed}, as registered", "BP-LST-01 BP-LST-03 BP-REG-01 BP-REG-12")
+    for listed, right in client.listing().items():
+        what = f"{listed}, as registered"
+        bench.answered(entry.get(listed), right, what, "BP-LST-01 BP-LST-03 BP-REG-01 BP-REG-12")
     stamp, margin = entry.get("timeStampRegistration"), round(bench.sut.pixit.clock_tolerance_ms * MS)
     near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
     bench.proved(

@@ -131,8 +131,7 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
 
         def act() -> tuple[int | None, Answer, int | None]:
-            for _ in range(2 if mode.is_queue else 1):
-                client.transmit(client.payload())
+            client.transmit_new(2 if mode.is_queue else 1)
             return client.number(), bench.call(TRANSMIT, protId=client.prot_id, payload=""), client.number()
 
         # Except with mode REPEAT, a beacon in between would take a payload from the buffer.
@@ -175,7 +174,7 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
 def empty_payload_for_queue(bench: Bench) -> None:
     with BPClient(bench, QueueingMode.QUEUE) as client:
         start = bench.mark()
-        payloads = client.submit(4, at_once=False)
+        payloads = client.transmit_new(4)
         bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
@@ -248,8 +247,7 @@ def clear_unknown(bench: Bench) -> None:
 )
 def clear(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
-        for _ in range(3 if mode.is_queue else 1):
-            client.transmit(client.payload())
+        client.transmit_new(3 if mode.is_queue else 1)
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         bench.answered(client.number(), 0, "buffered payloads")

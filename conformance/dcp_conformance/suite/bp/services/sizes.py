@@ -9,7 +9,6 @@ from dcp_spec.constants import BP_MAX_PAYLOADS, BP_SEQNO_MODULUS, QueueingMode, 
 from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
-from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     DEREGISTER,
@@ -21,7 +20,6 @@ from dcp_conformance.test_steps.bp_clients import (
     areas_of_fixed_size,
     each_mode,
     listed,
-    needed,
     queue_mode,
     registered,
     unused_protocol_id,
@@ -177,18 +175,11 @@ def many_senders(bench: Bench) -> None:
 )
 def equal_payloads(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode, entries=4) as client:
-        start, payloads = 0, [client.payload(), client.payload()]
-
-        def act() -> None:
-            nonlocal start
-            start = bench.mark()
-            for each in (0, 0, 1, 1):
-                client.transmit(payloads[each])
-
-        between_beacons(bench, "submission of four payloads", act, client.in_frame)
+        payloads = [client.payload(), client.payload()]
+        right = [payloads[each] for each in (0, 0, 1, 1)]
+        start, _ = client.submit_between("submission of four payloads", lambda: right)
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
-        right = [payloads[each] for each in (0, 0, 1, 1)]
         bench.in_order(sent, right, "payloads A, A, B, B", seen=listed(sent, payloads))
 
 
@@ -226,8 +217,7 @@ def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
     peer, (damaged, valid) = bench.peer(), bench.identifiers.unknown_ids(2)
     for _ in paced(bench, range(_DAMAGED)):
         peer.send(peer.summary(damaged, 1), lies=lies, cut=cut)
-    start = bench.mark()
-    peer.send(peer.summary(valid, 1))
+    start = peer.stimulate(peer.summary(valid, 1))
     check_processed(bench, [valid], start, "a beacon after damaged ones of its sender", "BP-RX-07", "BP-RX-16")
 
 
@@ -243,8 +233,7 @@ def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
 )
 def counts_far(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=8) as client, parameters_set(bench, "BP", **{_PERIOD: 1}):
-        client.transmit(client.payload(8))
-        needed(bench, client.until_sent(), "a beacon with the payload")
+        client.put_on_air(size=8)
         begun, deadline = bench.heard[-1], bench.now() + 300_000 * MS
         last = begun
         while bench.now() < deadline and (last.seqno or 0) <= _SIXTEEN_BITS:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
@@ -48,17 +48,8 @@ def creates_counted(bench: Bench) -> None:
     stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
     expect="each VarUpdate in exactly repCnt beacons",
     window=12,
+    value=_UPDATE,
 )
-def updates_counted(bench: Bench) -> None:
-    peer = bench.peer()
-    creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
-    bench.learn(peer, *creates)
-    mark = bench.mark()
-    peer.send(*(peer.update(each.spec.var_id, 1) for each in creates))
-    for each in creates:
-        bench.check_repeated(_UPDATE, each.spec.var_id, each.spec.rep_cnt, mark)
-
-
 @case(
     "TC_VD_CMP_BV_03",
     "Each VarDelete is repeated according to the repCnt of its own variable",
@@ -66,15 +57,16 @@ def updates_counted(bench: Bench) -> None:
     stimulus="one beacon deletes three variables with repCnt 1, 2 and 4",
     expect="each VarDelete in exactly repCnt beacons",
     window=12,
+    value=_DELETE,
 )
-def deletes_counted(bench: Bench) -> None:
+def changes_counted(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
     bench.learn(peer, *creates)
-    mark = bench.mark()
-    peer.send(*(peer.delete(each.spec.var_id) for each in creates))
+    names = [each.spec.var_id for each in creates]
+    mark = peer.stimulate(*(peer.update(each, 1) if kind is _UPDATE else peer.delete(each) for each in names))
     for each in creates:
-        bench.check_repeated(_DELETE, each.spec.var_id, each.spec.rep_cnt, mark)
+        bench.check_repeated(kind, each.spec.var_id, each.spec.rep_cnt, mark)
 
 
 @case(
@@ -113,15 +105,12 @@ def back_to_the_tail(bench: Bench, kind: ICType) -> None:
 )
 def current_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    create = peer.create(var_id, value=b"first", seqno=3, rep_cnt=bench.sut.rep_cnt(2))
-    bench.learn(peer, create)
+    create = bench.learnt(peer, var_id, value=b"first", seqno=3, rep_cnt=bench.sut.rep_cnt(2))
     updated: list[Instruction] = []
     for number, value in ((4, b"second"), (7, b"the third")):
-        mark = bench.mark()
-        peer.send(peer.update(var_id, number, value))
+        mark = peer.stimulate(peer.update(var_id, number, value))
         updated = bench.waiting.repeated(_UPDATE, var_id, mark)
-    mark = bench.mark()
-    peer.send(peer.request_create(var_id))
+    mark = peer.stimulate(peer.request_create(var_id))
     bench.required(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable")
     found = bench.instructions(_CREATE, var_id, mark)
     record = found[0].record
@@ -175,8 +164,7 @@ def changes_while_repeated(bench: Bench) -> None:
 def update_requested_once(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id, seqno=5, rep_cnt=bench.sut.rep_cnt(3)))
-    mark = bench.mark()
-    peer.send(peer.summary(var_id, 9))
+    mark = peer.stimulate(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_UPDATE, var_id, 1, mark)
     numbers = [each.record.seqno for each in found]
     bench.proved(set(numbers) <= {5}, "its own sequence number, 5", numbers, frames=found)
@@ -216,8 +204,7 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     requirement = "VD-CMP-11" if kind is _ASK_UPDATE else "VD-CMP-12"
     if kind is _ASK_UPDATE:
         bench.learn(peer, *(peer.create(each, seqno=number) for number, each in enumerate(names)))
-    mark = bench.mark()
-    peer.send(*(peer.summary(each, 60) for each in names))
+    mark = peer.stimulate(*(peer.summary(each, 60) for each in names))
     bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
     found = [each for each in bench.instructions(kind, since=mark) if each.var_id in names]
     bench.only([each.var_id for each in found], names, "one request for each variable", requirement, frames=found)
@@ -244,11 +231,9 @@ def many_requests(bench: Bench, kind: ICType) -> None:
 def after_the_last_delete(bench: Bench) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     bench.check_repeated(_DELETE, var_id, repetitions, mark)
-    mark = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    mark = peer.stimulate(peer.summary(var_id, 1))
     if bench.features.removed_after_deletion:
         bench.some(bench.until_instruction(_ASK_CREATE, var_id), "a request for the variable, which is unknown again")
         return
@@ -271,10 +256,8 @@ def after_the_last_delete(bench: Bench) -> None:
 def described_after_the_last_delete(bench: Bench) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
-    if not bench.waiting.repeated(_DELETE, var_id, mark):
-        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+    mark = peer.stimulate(peer.delete(var_id))
+    bench.needed(bench.waiting.repeated(_DELETE, var_id, mark), "a VarDelete of the variable, which this case needs")
     if bench.features.removed_after_deletion:
         bench.expect_status("VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST", "RTDB-DescribeVariable", varId=var_id)
         return
@@ -296,15 +279,10 @@ def described_after_the_last_delete(bench: Bench) -> None:
 def update_waits(bench: Bench) -> None:
     peer, repetitions = bench.peer(), bench.sut.rep_cnt(2)
     creates = stock(bench, peer, _CREATE)
-    waiting = peer.create(bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
-    bench.learn(peer, waiting)
+    waiting = bench.learnt(peer, bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
     mark = bench.mark()
     peer.send(peer.request_update(waiting.spec.var_id, 8), *(peer.request_create(each.spec.var_id) for each in creates))
-
-    def busy(heard: ReceivedBeacon) -> bool:
-        return bool(heard.instructions(_CREATE) or heard.instructions(_UPDATE))
-
-    frames = bench.until_quiet(busy, since=mark)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_CREATE) or heard.instructions(_UPDATE), since=mark)
     bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
     limit = bench.sut.bound(PAYLOAD_SIZE)
     largest = max([len(bench.codec.encode_containers(each.containers)) for each in frames], default=0)
@@ -331,8 +309,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
         bench.learn(peer, create)
         peer.send(peer.update(var_id, 1))
     bench.required(bench.until_instruction(kind, var_id), "a record of the variable", "VD-PD-04")
-    mark = bench.mark()
-    peer.send(peer.delete(var_id))
+    mark = peer.stimulate(peer.delete(var_id))
     found = bench.check_repeated(_DELETE, var_id, repetitions, mark, "VD-PD-04")
     if not found:
         return

@@ -66,7 +66,7 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     kind, less = variant
     peer = bench.peer()
     creates, limit = (_two if settable(bench) else _as_many_as_fit)(bench, peer, kind, less)
-    frames = undisturbed(bench, kind, lambda: all_of(bench, kind, creates, request(bench, peer, kind, creates))[1])
+    frames = undisturbed(bench, kind, lambda: all_of(bench, kind, creates, request(bench, peer, kind, creates)))
     counts = [len(each.instructions(kind)) for each in frames]
     right = [len(creates) - 1, 1] if less else [len(creates)]
     what = f"records in payloads of at most {limit} octets"
@@ -81,14 +81,8 @@ def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[Va
     value, description = longest(bench)
     creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.identifiers.var_ids(2)]
     bench.learn(peer, *creates)
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     records = creates if kind is _CREATE else [each.upd for each in creates]
-    limit = bench.builder.container_header_size + sum(map(bench.builder.record_size, records)) - less
-    # The limits of other parameters depend on the size of a payload.
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(3)
-    return creates, limit
+    return creates, lower(bench, sum(map(bench.builder.record_size, records)) - less)
 
 
 def _as_many_as_fit(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
@@ -156,19 +150,20 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
     else:
         limit = bench.sut.bound(PAYLOAD_SIZE)
         creates = _learnt(bench, peer, _CREATE, lambda before: limit - before - summary + less)
-    wanted = {each.spec.var_id for each in creates}
-    peer.send(*(peer.request_create(each) for each in wanted))
-
-    def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
-        return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
-
+    peer.send(*(peer.request_create(each) for each in {each.spec.var_id for each in creates}))
     heard = bench.required(
-        bench.until(has_all), "the requested VarCreates in one payload", seen="no payload with all of them"
+        until_all(bench, creates), "the requested VarCreates in one payload", seen="no payload with all of them"
     )
     # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
     bench.answered(len(heard.instructions(_SUMMARY)), 1 - less, "summaries after the VarCreates", frames=[heard])
     octets = size_of(bench, heard)
     bench.proved(octets <= limit, f"a payload of at most {limit} octets", octets, "VD-IC-05", frames=[heard])
+
+
+def until_all(bench: Bench, creates: Sequence[VarCreate]) -> ReceivedBeacon | None:
+    """Wait for a beacon with VarCreates of all these variables."""
+    wanted = {each.spec.var_id for each in creates}
+    return bench.until(lambda heard: heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None)
 
 
 def _never_fits(bench: Bench) -> str | None:
@@ -213,8 +208,7 @@ def head_does_not_fit(bench: Bench) -> None:
         # Whether the implementation learnt it cannot be observed: a forwarded VarCreate would be the only sign.
         peer.send(create)
     bench.wait(3)
-    mark = bench.mark()
-    peer.send(peer.request_create(large), peer.summary(unknown, 1))
+    mark = peer.stimulate(peer.request_create(large), peer.summary(unknown, 1))
     bench.some(
         bench.until_instruction(ICType.REQUEST_VARCREATES, unknown),
         "other containers, although the VarCreate at the head of createQ does not fit",
@@ -241,10 +235,8 @@ def head_does_not_fit(bench: Bench) -> None:
 )
 def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     peer, (value, description) = bench.peer(), longest(bench)
-    create = peer.create(bench.var_id(), value=value, descr=description, seqno=9)
-    bench.learn(peer, create)
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
+    create = bench.learnt(peer, bench.var_id(), value=value, descr=description, seqno=9)
+    lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
     bench.some(bench.until_instruction(kind, create.spec.var_id), "the record, which exactly fills a payload")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
@@ -252,12 +244,17 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     bench.none(others, "no other container in its payload", frames=frames)
 
 
-def _lower(bench: Bench, octets: int) -> None:
-    """Set the payload size to that of a container with one record of ``octets`` octets."""
+def lower(bench: Bench, octets: int, periods: int = 3) -> int:
+    """Set the payload size to that of a container with ``octets`` octets of records, without summaries; return it.
+
+    Waits for the end of payloads that were composed before.
+    """
+    limit = bench.builder.container_header_size + octets
     # The limits of other parameters depend on the size of a payload.
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.builder.container_header_size + octets)
-    bench.wait(3)
+    for name, value in ((SUMMARIES, 0), ("VARDISPAR_MAX_DESCRIPTION_LENGTH", 2), (PAYLOAD_SIZE, limit)):
+        bench.must("VD-SetParameter", name=name, value=value)
+    bench.wait(periods)
+    return limit
 
 
 @case(
@@ -295,12 +292,10 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
         sample = stimuli[0]
     elif kind is _ASK_UPDATE:
         sample = peer.request_update(names[0], 5)
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, number * bench.builder.record_size(sample) - less)
+    lower(bench, number * bench.builder.record_size(sample) - less)
 
     def caused() -> list[ReceivedBeacon]:
-        mark = bench.mark()
-        peer.send(*stimuli)
+        mark = peer.stimulate(*stimuli)
         return bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
 
     # Deletions have an effect only once, and requests each time.
@@ -328,8 +323,7 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     longest_value, _ = longest(bench)
     value, var_id = longest_value[: length or len(longest_value)], bench.var_id()
     sample = bench.records.sample(value=value, descr=b"d")
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.builder.record_size(sample))
+    lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
     bench.some(bench.until_instruction(_CREATE, var_id), "its VarCreate, which exactly fills a payload", "VD-PAY-02")
 
@@ -350,8 +344,7 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     value, _ = longest(bench)
     var_id = produced(bench)
     settled(bench, var_id)
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.builder.record_size(bench.records.sample(value=value).upd))
+    lower(bench, bench.builder.record_size(bench.records.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
     bench.some(found and found.value == value, "its VarUpdate, which exactly fills a payload", "VD-PAY-02")

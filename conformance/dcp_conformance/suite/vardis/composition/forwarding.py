@@ -119,8 +119,7 @@ def update(bench: Bench, count: Count) -> None:
 def deletion(bench: Bench, count: Count) -> None:
     peer = bench.peer()
     var_id = teach_variable(bench, peer, rep_cnt=count(bench))
-    since = bench.mark()
-    peer.send(peer.delete(var_id))
+    since = peer.stimulate(peer.delete(var_id))
     found = bench.check_repeated(DELETES, var_id, count(bench), since)
     # A summary composed before the deletion may still be sent.
     others = traces(bench, var_id, bench.heard.index(found[0].heard) if found else since, set(ICType) - {DELETES})
@@ -181,8 +180,7 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     peer = bench.peer()
     # Repetitions of the VarCreate itself must not be counted.
     var_id = (_learnt if kind is CREATES else _taught)(bench, peer, count(bench), 5)
-    since = bench.mark()
-    bench.peer().send(trigger(bench, peer, var_id))
+    since = bench.peer().stimulate(trigger(bench, peer, var_id))
     found = bench.check_repeated(kind, var_id, count(bench), since)
     numbers = [each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found]
     bench.every(numbers, 5, "the stored sequence number in the answer")
@@ -204,8 +202,7 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
 def update_again(bench: Bench) -> None:
     peer, count = bench.peer(), min(4, max_repetitions(bench))
     var_id = _learnt(bench, peer, count)
-    since = bench.mark()
-    peer.send(peer.update(var_id, 1, b"one"))
+    since = peer.stimulate(peer.update(var_id, 1, b"one"))
     bench.until_instruction(UPDATES, var_id)
     peer.send(peer.update(var_id, 2, b"two"))
     found = bench.waiting.repeated(UPDATES, var_id, since)
@@ -233,8 +230,7 @@ def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> No
     # With four or more, at least one repetition is still queued when the first one is heard.
     peer, count = bench.peer(), min(5, max_repetitions(bench))
     var_id = _learnt(bench, peer, count, seqno=5)
-    since = bench.mark()
-    peer.send(peer.update(var_id, 6))
+    since = peer.stimulate(peer.update(var_id, 6))
     bench.until_instruction(UPDATES, var_id)
     other = bench.peer()
     other.send(stimulus(peer, var_id))
@@ -268,8 +264,7 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
     kind, trigger = what
     peer, count = bench.peer(), min(4, max_repetitions(bench))
     var_id = _learnt(bench, peer, count, seqno=5)
-    since = bench.mark()
-    bench.peer().send(trigger(bench, peer, var_id))
+    since = bench.peer().stimulate(trigger(bench, peer, var_id))
     bench.until_instruction(kind, var_id)
     other = bench.peer()
     other.send(trigger(bench, peer, var_id))
@@ -296,13 +291,10 @@ def nothing_new(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
     create, newer = peer.create(var_id), peer.update(var_id, 1)
     for kind, record in ((CREATES, create), (UPDATES, newer), (DELETES, peer.delete(var_id))):
-        start = bench.mark()
-        peer.send(record)
+        start = peer.stimulate(record)
         bench.check_repeated(kind, var_id, 1, start)
-        start = bench.mark()
-        bench.peer().send(record)
-        bench.require_alive(f"a {kind.label} record that is not new")
-        bench.beacons(1, 1.5)
+        start = bench.peer().stimulate(record)
+        bench.require_processed(f"a {kind.label} record that is not new")
         found = traces(bench, var_id, start, (CREATES, UPDATES, DELETES))
         bench.none(found, f"no record after the same {kind.label} record again")
     bench.repeated(bench.instructions(CREATES, var_id, since), 1, "VarCreates in total")
@@ -335,8 +327,7 @@ def from_all_sides(bench: Bench) -> None:
 )
 def newest_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    create = peer.create(var_id, value=b"first")
-    bench.learn(peer, create)
+    create = bench.learnt(peer, var_id, value=b"first")
     peer.send(peer.update(var_id, 1, b"newer"))
     updated = bench.until_instruction(UPDATES, var_id)
     for what in ("after the update", "after a VarCreate with the first value"):

@@ -52,10 +52,8 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     peer = bench.peer()
     known = teach_variable(bench, peer, value=b"stays")
     first, last = bench.identifiers.unknown_ids(2)
-    since = bench.mark()
-    peer.send(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
-    bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
-    bench.beacons(1, 1.5)
+    since = peer.stimulate(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
+    bench.require_processed("a payload larger than its own maximum", "VD-ROB-01")
     asked = [bool(bench.instructions(ICType.REQUEST_VARCREATES, each, since)) for each in (first, last)]
     observed = {(True, True): "yes", (False, False): "no", (True, False): "only its first container"}
     question = f"Is a payload processed that is larger than {limit} allows the implementation's own?"

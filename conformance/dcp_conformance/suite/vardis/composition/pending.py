@@ -23,13 +23,14 @@ from dcp_conformance.test_system.sending.peers import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
+_Made = Callable[[Peer, int], VardisRecord]
 
 
-def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observed: str) -> None:
+def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str) -> None:
     """Check that at least one of three attempts succeeds: a payload may be composed just between two frames of the
     tester.
     """
-    right = any(attempt() for _ in range(3))
+    right, observed = any(attempt() for _ in range(3)), "one in every attempt"
     if not right and bench.sut.one_by_one:
         bench.inconclusive(
             expected, f"{observed}; but it processes received payloads one at a time and may answer in between"
@@ -46,23 +47,27 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
     window=8,
 )
 def request_dropped(bench: Bench) -> None:
-    _check_cancelled(bench, 1, "no VarReqUpdate for a value that has arrived, in at least one of 3 attempts")
+    expected = "no VarReqUpdate for a value that has arrived"
+    _check_cancelled(bench, 1, "an update", lambda peer, var_id: peer.update(var_id, 1), expected)
 
 
-def _check_cancelled(bench: Bench, summarised: int, expected: str) -> None:
-    """Check that the update number 1 cancels the request that a summary has caused."""
+def _check_cancelled(bench: Bench, number: int, what: str, second: _Made, expected: str) -> None:
+    """Check that a second record cancels the request that a summary with this number has caused.
+
+    The variable is known with number 0, or unknown for a summary with 0.
+    """
+    kind = ICType.REQUEST_VARUPDATES if number else ICType.REQUEST_VARCREATES
 
     def attempt() -> bool:
         peer = bench.peer()
-        var_id = teach_variable(bench, peer)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, summarised))
-        peer.send(peer.update(var_id, 1))
-        bench.require_alive("a summary and an update")
-        bench.beacons(1, 1.5)
-        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+        var_id = teach_variable(bench, peer) if number else bench.unknown_id()
+        bench.identifiers.created.add(var_id)
+        since = peer.stimulate(peer.summary(var_id, number))
+        peer.send(second(peer, var_id))
+        bench.require_processed(f"a summary and {what}")
+        return not bench.instructions(kind, var_id, since)
 
-    _check_once(bench, attempt, expected, "one in every attempt")
+    _check_once(bench, attempt, f"{expected}, in at least one of 3 attempts")
 
 
 @case(
@@ -77,7 +82,8 @@ def _check_cancelled(bench: Bench, summarised: int, expected: str) -> None:
     window=8,
 )
 def request_dropped_by_an_older_one(bench: Bench) -> None:
-    _check_cancelled(bench, 2, "no VarReqUpdate after a newer value has arrived, in at least one of 3 attempts")
+    expected = "no VarReqUpdate after a newer value has arrived"
+    _check_cancelled(bench, 2, "an update", lambda peer, var_id: peer.update(var_id, 1), expected)
 
 
 @case(
@@ -91,22 +97,8 @@ def request_dropped_by_an_older_one(bench: Bench) -> None:
     window=8,
 )
 def create_request_dropped(bench: Bench) -> None:
-    def attempt() -> bool:
-        peer, var_id = bench.peer(), bench.unknown_id()
-        bench.identifiers.created.add(var_id)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, 0))
-        peer.send(peer.create(var_id))
-        bench.require_alive("a summary and a VarCreate")
-        bench.beacons(1, 1.5)
-        return not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
-
-    _check_once(
-        bench,
-        attempt,
-        "no VarReqCreate for a variable that has arrived, in at least one of 3 attempts",
-        "one in every attempt",
-    )
+    expected = "no VarReqCreate for a variable that has arrived"
+    _check_cancelled(bench, 0, "a VarCreate", lambda peer, var_id: peer.create(var_id), expected)
 
 
 @case(
@@ -136,12 +128,7 @@ def pending_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
 
-    _check_once(
-        bench,
-        attempt,
-        "no pending answer or request sent after the deletion, in at least one of 3 attempts",
-        "one in every attempt",
-    )
+    _check_once(bench, attempt, "no pending answer or request sent after the deletion, in at least one of 3 attempts")
 
 
 def _three_repetitions(bench: Bench) -> str | None:
@@ -166,8 +153,7 @@ def deletion_overtaken(bench: Bench) -> None:
     var_id = teach_variable(bench, peer, rep_cnt=count)
     peer.send(peer.delete(var_id))
     bench.required(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded")
-    since = bench.mark()
-    peer.send(peer.create(var_id, rep_cnt=2))
+    since = peer.stimulate(peer.create(var_id, rep_cnt=2))
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
@@ -189,9 +175,8 @@ def update_overtaken(bench: Bench) -> None:
     bench.learn(peer, peer.create(var_id, rep_cnt=count))
     peer.send(peer.update(var_id, 1))
     bench.required(bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded")
-    since = bench.mark()
     record = peer.create(var_id, rep_cnt=2, value=b"anew")
-    peer.send(record)
+    since = peer.stimulate(record)
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     bench.every(found, record, "the new VarCreate unchanged")
     first = bench.heard.index(found[0].heard) if found else since
@@ -212,22 +197,8 @@ def update_overtaken(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0),
 )
 def request_overtaken(bench: Bench) -> None:
-    def attempt() -> bool:
-        peer = bench.peer()
-        var_id = teach_variable(bench, peer)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, 1))
-        peer.send(peer.create(var_id))
-        bench.require_alive("a summary and a VarCreate")
-        bench.beacons(1, 1.5)
-        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
-
-    _check_once(
-        bench,
-        attempt,
-        "no VarReqUpdate for a variable created again, in at least one of 3 attempts",
-        "one in every attempt",
-    )
+    expected = "no VarReqUpdate for a variable created again"
+    _check_cancelled(bench, 1, "a VarCreate", lambda peer, var_id: peer.create(var_id), expected)
 
 
 _Event = Callable[[Peer, int, Callable[[int], int]], VardisRecord]
@@ -280,8 +251,7 @@ def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     record = event(peer, var_id, lambda distance: stepped(bench, stored, distance))
     peer.send(record)
     bench.require_alive(type(record).__name__)
-    upper = bench.session.upper
-    entry = entry_of(bench, var_id) if upper is not None and "RTDB-DescribeVariable" in upper.methods else None
+    entry = entry_of(bench, var_id) if bench.services.offers("RTDB-DescribeVariable") else None
     if entry is not None:
         bench.answered(entry.get("seqno"), stored, "seqno")
     deletions = bench.check_repeated(_DELETE, var_id, count, since)
@@ -305,7 +275,7 @@ def request_kept(bench: Bench) -> None:
     _check_kept(bench, bench.unknown_id(), lambda peer, var_id: peer.delete(var_id))
 
 
-def _check_kept(bench: Bench, var_id: int, second: Callable[[Peer, int], VardisRecord]) -> None:
+def _check_kept(bench: Bench, var_id: int, second: _Made) -> None:
     """Check that a second record about an unknown variable leaves the request for it in its queue."""
     peer = bench.peer()
     peer.send(peer.summary(var_id, 0))
@@ -350,8 +320,7 @@ def number_of_a_request(bench: Bench) -> None:
         bench.inconclusive("a VarUpdate of the variable, which this case needs", "the implementation sends none")
     # A request that was prepared before the VarUpdate may still be sent.
     bench.wait(2)
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 11))
+    start = peer.stimulate(peer.summary(var_id, 11))
     bench.until_instruction(kind, var_id)
     found = bench.required(bench.instructions(kind, var_id, start), "a VarReqUpdate for the variable", "VD-PS-04")
     numbers = [getattr(each.record, "seqno", None) for each in found]
@@ -369,8 +338,7 @@ def number_of_a_request(bench: Bench) -> None:
 def request_not_withdrawn(bench: Bench) -> None:
     peer, other = bench.peer(), bench.peer()
     var_id = teach_variable(bench, peer, seqno=5)
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 9))
+    start = peer.stimulate(peer.summary(var_id, 9))
     other.send(other.summary(var_id, 5))
     bench.until_instruction(ICType.REQUEST_VARUPDATES, var_id)
     found = bench.instructions(ICType.REQUEST_VARUPDATES, var_id, start)

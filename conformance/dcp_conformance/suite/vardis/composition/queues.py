@@ -12,12 +12,13 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, require_undisturbed
+from dcp_conformance.test_steps.full_payloads import require_undisturbed
 from dcp_conformance.test_steps.services import listed, produced
 from dcp_conformance.test_steps.variable_queries import modulus, teach_variables
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
+from .exact_sizes import lower
 from .summaries import SUMMARIES, summarises
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -73,13 +74,7 @@ def _prepared(bench: Bench, peer: Peer, kind: ICType, rep_cnt: int, *, known: bo
             peer, *(peer.create(each, value=b"v", descr=b"d", seqno=5, rep_cnt=rep_cnt) for each in sorted(names))
         )
     size = bench.builder.record_size(_record(bench, peer, kind))
-    limit = bench.builder.container_header_size + _FIT * size
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    # The limits of other parameters depend on the size of a payload.
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(2)
-    return names, limit
+    return names, lower(bench, _FIT * size, 2)
 
 
 def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
@@ -110,10 +105,6 @@ def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
     needs=_SETTABLE,
     variants=_variants("new-variables", "deletes", "requests"),
 )
-def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
-    _check_queue(bench, what)
-
-
 @case(
     "TC_VD_ORD_BV_03",
     "As TC_VD_ORD_BV_01 for records of known variables ({variant})",
@@ -125,11 +116,7 @@ def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     variants=_variants("creates", "updates", "update-requests"),
     long=True,
 )
-def order_of_answers(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
-    _check_queue(bench, what)
-
-
-def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     kind, stimulus, _ = what
     once, new = kind in (_ASK_CREATE, _ASK_UPDATE), what is _STIMULI["new-variables"]
     peer, count = bench.peer(), 1 if once else bench.sut.rep_cnt(2)
@@ -289,8 +276,7 @@ def many_records(bench: Bench, what: tuple[ICType, int, Stimulus, str]) -> None:
     names = bench.identifiers.unknown_ids(count) if kind is _ASK_CREATE else bench.identifiers.var_ids(count)
     if kind is not _ASK_CREATE:
         teach_variables(bench, peer, [peer.create(each, value=b"v", descr=b"d", seqno=5) for each in names])
-    start = bench.mark()
-    peer.send(*(stimulus(peer, each) for each in names))
+    start = peer.stimulate(*(stimulus(peer, each) for each in names))
     frames = bench.until_quiet(_about(kind, names), since=start)
     found = [each for each in bench.instructions(kind, since=start) if each.var_id in names]
     # An application on the node may have created one of them.

@@ -27,10 +27,6 @@ def _stamp(bench: Bench, var_id: int) -> int:
     return stamp_in(bench, described(bench.must("RTDB-DescribeVariable", varId=var_id)), "VD-DB-03")
 
 
-def _again(record: VarCreate, peer: Peer, distance: int) -> VarCreate:  # noqa: ARG001 - as the others
-    return record
-
-
 def _earlier(record: VarCreate, peer: Peer, distance: int) -> VarCreate:  # noqa: ARG001 - as the others
     created = record.spec.creation_time
     assert created is not None
@@ -40,7 +36,7 @@ def _earlier(record: VarCreate, peer: Peer, distance: int) -> VarCreate:  # noqa
 
 _Made = Callable[[VarCreate, Peer, int], VardisRecord]
 _IGNORED: dict[str, _Made | Variant] = {
-    "the-same-VarCreate": _again,
+    "the-same-VarCreate": lambda record, _peer, _older: record,
     "an-earlier-VarCreate": Variant(_earlier, needs=_V2),
     "the-same-VarUpdate": lambda record, _peer, _older: record.upd,
     "an-older-VarUpdate": lambda record, peer, older: peer.update(record.spec.var_id, older, b"older"),
@@ -66,25 +62,12 @@ _IGNORED: dict[str, _Made | Variant] = {
 )
 def not_renewed(bench: Bench, make: _Made) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    record = peer.create(var_id, seqno=5)
-    bench.learn(peer, record)
+    record = bench.learnt(peer, var_id, seqno=5)
     before = _stamp(bench, var_id)
     bench.wait(2)
     peer.send(make(record, peer, stepped(bench, 5, -1)))
     bench.require_alive("a record that stores nothing")
     bench.answered(_stamp(bench, var_id), before, "tStamp unchanged")
-
-
-def _summary_of(_bench: Bench, peer: Peer, held: VarCreate) -> None:
-    peer.send(peer.summary(held.spec.var_id, held.upd.seqno))
-
-
-def _update_of(_bench: Bench, peer: Peer, held: VarCreate) -> None:
-    peer.send(held.upd)
-
-
-def _create_of(_bench: Bench, peer: Peer, held: VarCreate) -> None:
-    peer.send(held)
 
 
 def _requests_of(bench: Bench, peer: Peer, held: VarCreate) -> None:
@@ -123,9 +106,9 @@ def _with(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
     window=16,
     needs=_OWN,
     variants={
-        "its-summary-from-a-neighbour": _summary_of,
-        "its-VarUpdate-from-a-neighbour": _update_of,
-        "its-VarCreate-from-a-neighbour": _create_of,
+        "its-summary-from-a-neighbour": lambda _, peer, held: peer.send(peer.summary(held.spec.var_id, held.upd.seqno)),
+        "its-VarUpdate-from-a-neighbour": lambda _, peer, held: peer.send(held.upd),
+        "its-VarCreate-from-a-neighbour": lambda _, peer, held: peer.send(held),
         "requests": _requests_of,
         "RTDB-Read": Variant(_read, needs=_with("RTDB-Read")),
         "RTDB-Update-that-is-refused": Variant(_refused, needs=_with("RTDB-Update")),
@@ -134,7 +117,7 @@ def _with(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
         ),
     },
 )
-def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None]) -> None:
+def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], object]) -> None:
     mark = bench.mark()
     var_id = produced(bench)
     held = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
@@ -148,14 +131,6 @@ def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None])
     bench.answered(_stamp(bench, var_id), before, "tStamp unchanged")
 
 
-def _created_by_application(bench: Bench, var_id: int, _peer: Peer) -> None:
-    created_again(bench, var_id)
-
-
-def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:
-    bench.learn(peer, peer.create(var_id, seqno=3))
-
-
 @case(
     "TC_VD_DB_BV_07",
     "A creation that replaces a variable renews tStamp ({variant})",
@@ -165,20 +140,18 @@ def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:
     window=12,
     needs=_V2,
     variants={
-        "received": Variant(_created_by_peer, requirements="VD-DB-03 VD-PC-07"),
-        "own": Variant(
-            _created_by_application, requirements="VD-DB-03 VD-CRE-10", needs=Needs(since=SpecVersion.V2_0, ut=_OWN.ut)
-        ),
+        "received": Variant(False, requirements="VD-DB-03 VD-PC-07"),
+        "own": Variant(True, requirements="VD-DB-03 VD-CRE-10", needs=Needs(since=SpecVersion.V2_0, ut=_OWN.ut)),
     },
 )
-def renewed(bench: Bench, create: Callable[[Bench, int, Peer], None]) -> None:
+def renewed(bench: Bench, own: bool) -> None:
     peer = bench.peer()
-    var_id = produced(bench) if create is _created_by_application else teach_variable(bench, peer)
+    var_id = produced(bench) if own else teach_variable(bench, peer)
 
     def measure() -> int:
         before = _stamp(bench, var_id)
         bench.wait(2)
-        create(bench, var_id, peer)
+        created_again(bench, var_id) if own else bench.learn(peer, peer.create(var_id, seqno=3))
         return _stamp(bench, var_id) - before
 
     check_later(bench, "a later tStamp", 1, measure)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
-from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_steps.timeouts import lasting, latest, learn, shorten_scrubbing
@@ -19,7 +18,7 @@ from dcp_conformance.test_steps.variable_queries import teach_variables
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
-from .exact_sizes import largest_create
+from .exact_sizes import largest_create, until_all
 from .summaries import SUMMARIES, summarises
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -96,10 +95,9 @@ def _overflow(bench: Bench, peer: Peer, fillers: Sequence[VarCreate], kind: ICTy
     """
     for _ in range(3):
         pending = _pending(bench, peer, kind, number)
-        pending.since = bench.mark()
-        peer.send(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
+        pending.since = peer.stimulate(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
         # A VarCreate of the case itself may be between the fillers.
-        if kind is _CREATE or _has_all(bench, fillers) is not None:
+        if kind is _CREATE or until_all(bench, fillers) is not None:
             break
         _await_end(bench, fillers)
     else:
@@ -111,23 +109,6 @@ def _await_end(bench: Bench, creates: Sequence[VarCreate]) -> None:
     """Wait until these VarCreates are no longer repeated."""
     names = {each.spec.var_id for each in creates}
     bench.until_quiet(lambda heard: any(each.var_id in names for each in heard.instructions(_CREATE)))
-
-
-def _full(bench: Bench, fillers: Sequence[VarCreate]) -> ReceivedBeacon:
-    """Return the beacon that has all fillers; inconclusive if there is none."""
-    found = _has_all(bench, fillers)
-    if found is None:
-        bench.inconclusive(_FULL, "none in time")
-    return found
-
-
-def _has_all(bench: Bench, fillers: Sequence[VarCreate]) -> ReceivedBeacon | None:
-    wanted = {each.spec.var_id for each in fillers}
-
-    def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
-        return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
-
-    return bench.until(has_all)
 
 
 @case(
@@ -209,7 +190,7 @@ def summaries_stay_queued(bench: Bench) -> None:
     peer = bench.peer()
     fillers = _fillers(bench, peer, 0)
     peer.send(*(peer.request_create(each.spec.var_id) for each in fillers))
-    _full(bench, fillers)
+    bench.needed(until_all(bench, fillers), _FULL)
     bench.mark()
     since, wanted = len(bench.heard), {each.spec.var_id for each in fillers}
     turn = 3 + 2 * len(wanted) / bench.sut.parameter(SUMMARIES)
@@ -241,8 +222,7 @@ def request_cancelled(bench: Bench) -> None:
     requests = [peer.request_create(each.spec.var_id) for each in fillers]
     name, timeout_ms = bench.var_id(), lasting(bench, 800, 5)
     begun = learn(bench, peer, name, timeout_ms).after
-    since = bench.mark()
-    peer.send(*requests)
+    since = peer.stimulate(*requests)
     peer.send(peer.summary(name, 1))
     until = begun + latest(bench, timeout_ms)
     while bench.now() < until:

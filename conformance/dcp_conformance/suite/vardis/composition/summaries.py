@@ -138,9 +138,8 @@ def no_summaries(bench: Bench) -> None:
     if settable(bench):
         bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     bench.wait(3)
-    mark = bench.mark()
     unknown = bench.unknown_id()
-    peer.send(peer.summary(unknown, 1), peer.update(name, 1))
+    mark = peer.stimulate(peer.summary(unknown, 1), peer.update(name, 1))
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
     bench.some(asked, "a request for the unknown variable", "VD-CMP-01")
     bench.wait(4)
@@ -184,8 +183,7 @@ def current_number(bench: Bench) -> None:
     bench.learn(peer, peer.create(name, seqno=3))
     _check_number(bench, name, 3, bench.mark())
     for number in (4, 9):
-        mark = bench.mark()
-        peer.send(peer.update(name, number))
+        mark = peer.stimulate(peer.update(name, number))
         bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded")
         # A payload composed before the update was sent before the VarUpdate.
         _check_number(bench, name, number, bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0]))

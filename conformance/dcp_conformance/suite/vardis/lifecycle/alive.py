@@ -15,9 +15,12 @@ from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.services import created_again, described, several_repetitions
 from dcp_conformance.test_steps.timeouts import (
     Change,
+    check_not_kept,
     check_time,
     create_own,
     deleted,
+    deleted_by_consumer,
+    deleted_by_producer,
     lasting,
     latest,
     learn,
@@ -38,10 +41,6 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))
 _MANAGE = ("VD-MGMT-Activate", "VD-MGMT-Deactivate")
 
 
-def _same(peer: Peer, record: VarCreate) -> VarCreate:  # noqa: ARG001 - as the other
-    return record
-
-
 def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     spec = record.spec
     assert spec.creation_time is not None
@@ -56,33 +55,10 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
-    variants={"the-same-VarCreate": _same, "an-earlier-VarCreate": _earlier},
+    variants={"the-same-VarCreate": lambda _, record: record, "an-earlier-VarCreate": _earlier},
 )
 def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreate]) -> None:
-    shorten_scrubbing(bench)
-    peer, timeout_ms = bench.peer(), 500
-    record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.identifiers.var_ids(2))
-    name = record.spec.var_id
-    since = sent(bench, peer, record, silent)
-    deadline = since.after + latest(bench, timeout_ms)
-    while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.waiting.wait_ns(150 * MS)
-        if not bench.instructions(_DELETE, name):
-            peer.send(make(peer, record))
-    found = bench.instructions(_DELETE, name)
-    if not found and not bench.instructions(_DELETE, silent.spec.var_id):
-        not_by_consumers(bench, name)
-        return
-    bench.required(found, "a VarDelete of the variable, as of the one without further VarCreates")
-    check_time(bench, found[0], since, timeout_ms)
-
-
-def _by_peer(bench: Bench, peer: Peer, name: int, timeout_ms: int) -> Change:
-    return learn(bench, peer, name, timeout_ms)
-
-
-def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Change:
-    return create_own(bench, name, timeout_ms)
+    check_not_kept(bench, lambda peer, record: peer.send(make(peer, record)), "VarCreates")
 
 
 @case(
@@ -97,23 +73,22 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
     window=60,
     needs=_WIRE,
     variants={
-        "received": Variant(_by_peer, requirements="VD-SCR-03 VD-SCR-01 VD-PC-07"),
-        "own": Variant(_by_application, requirements="VD-SCR-03 VD-SCR-01 VD-CRE-10", needs=_OWN),
+        "received": Variant(False, requirements="VD-SCR-03 VD-SCR-01 VD-PC-07"),
+        "own": Variant(True, requirements="VD-SCR-03 VD-SCR-01 VD-CRE-10", needs=_OWN),
     },
 )
-def restarted_timeout(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
+def restarted_timeout(bench: Bench, own: bool) -> None:
     shorten_scrubbing(bench)
-    own = create is _by_application
     peer, name = bench.peer(), bench.identifiers.own_var_id() if own else bench.var_id()
     timeout_ms = max(lasting(bench, 900, 8), round(4 * bench.session.slow_call / MS))
-    first = create(bench, peer, name, timeout_ms)
+    first = create_own(bench, name, timeout_ms) if own else learn(bench, peer, name, timeout_ms)
     bench.waiting.wait_ns(max(0, first.before + timeout_ms * MS * 2 // 3 - bench.now()))
     if own:
         before = bench.now()
         created_again(bench, name, timeout=timeout_ms)
         since = Change(before, bench.now())
     else:
-        since = create(bench, peer, name, timeout_ms)
+        since = learn(bench, peer, name, timeout_ms)
     if since.after - first.before >= timeout_ms * MS:
         bench.inconclusive("a second creation within the timeout", "it took longer")
     found = deleted(bench, name, since, timeout_ms)
@@ -142,13 +117,9 @@ def update_cancelled(bench: Bench) -> None:
     peer, name, count, timeout_ms = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15), lasting(bench, 100)
     peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=count))
     since = sent(bench, peer, peer.update(name, 1))
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
-    upper = bench.session.upper
+    found = deleted_by_consumer(bench, name, since, timeout_ms)
     entry = {}
-    if upper is not None and "RTDB-DescribeVariable" in upper.methods:
+    if bench.services.offers("RTDB-DescribeVariable"):
         entry = described(bench.must("RTDB-DescribeVariable", varId=name))
     for counter in ("countCreate", "countUpdate"):
         bench.answered(entry.get(counter, 0), 0, counter)
@@ -196,11 +167,7 @@ def after_deactivation(bench: Bench) -> None:
         bench.wait(3)
     name, timeout_ms = bench.identifiers.own_var_id(), 300
     since = create_own(bench, name, timeout_ms)
-    found = bench.required(
-        deleted(bench, name, since, timeout_ms),
-        "a VarDelete of the node's own variable",
-        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
-    )
+    found = deleted_by_producer(bench, name, since, timeout_ms)
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
 
 

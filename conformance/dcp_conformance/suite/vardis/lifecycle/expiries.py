@@ -23,6 +23,7 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
+    deleted_by_consumer,
     lasting,
     latest,
     learn,
@@ -118,11 +119,7 @@ def since_reception(bench: Bench, hours: int) -> None:
     before = bench.now()
     bench.learn(peer, peer.create(name, timeout=timeout_ms, creation_time=stamp))
     since = Change(before, bench.now())
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
-    check_time(bench, found, since, timeout_ms)
+    check_time(bench, deleted_by_consumer(bench, name, since, timeout_ms), since, timeout_ms)
 
 
 @case(
@@ -226,9 +223,7 @@ def as_new(bench: Bench, own: bool) -> None:
     longer_ms = min(bench.sut.longest_timeout, max(30_000, 8 * timeout_ms))
     name = bench.identifiers.own_var_id() if own else bench.var_id()
     since = create_own(bench, name, timeout_ms, count) if own else learn(bench, peer, name, timeout_ms, count)
-    if deleted(bench, name, since, timeout_ms) is None:
-        not_by_consumers(bench, name)
-        return
+    deleted_by_consumer(bench, name, since, timeout_ms)
     start, recreated = bench.mark(), bench.now()
     again, descr = bench.sut.rep_cnt(4), bench.records.descr(b"once more")
     if own:

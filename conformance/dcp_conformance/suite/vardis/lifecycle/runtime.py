@@ -150,8 +150,7 @@ def only_while_active(bench: Bench) -> None:
     bench.required(bench.until_instruction(_CREATE, name), "the VarCreate is forwarded")
     with bench.services.deactivated("VD"):
         bench.wait(2)
-        mark = bench.mark()
-        peer.send(peer.summary(bench.unknown_id(), 1))
+        mark = peer.stimulate(peer.summary(bench.unknown_id(), 1))
         bench.wait(max(6, bench.session.known.processing))
         bench.none([each for each in bench.heard[mark:] if each.has_vardis], "no VarDis block while VarDis is inactive")
     bench.some(bench.probes.probe(), "VarDis answers a probe after its activation")
@@ -245,6 +244,5 @@ def checked_often(bench: Bench) -> None:
     peer, name, count, mark = bench.peer(), bench.var_id(), bench.sut.rep_cnt(4), bench.mark()
     peer.send(peer.create(name, rep_cnt=count))
     bench.check_repeated(_CREATE, name, count, mark)
-    mark = bench.mark()
-    peer.send(peer.update(name, 1))
+    mark = peer.stimulate(peer.update(name, 1))
     bench.check_repeated(ICType.UPDATES, name, count, mark)

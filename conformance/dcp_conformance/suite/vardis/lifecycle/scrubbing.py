@@ -14,6 +14,8 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
+    deleted_by_consumer,
+    deleted_by_producer,
     lasting,
     latest,
     learn,
@@ -44,10 +46,7 @@ def consumer(bench: Bench, timeout_ms: int) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     timeout_ms = lasting(bench, timeout_ms, 2)
     since = learn(bench, peer, name, timeout_ms, count)
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
+    found = deleted_by_consumer(bench, name, since, timeout_ms)
     scrubs(bench, by_consumers=True)
     bench.passed("consumers delete variables after their timeout", "VD-SCR-05", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
@@ -74,11 +73,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
 def producer(bench: Bench) -> None:
     name, count, timeout_ms = bench.identifiers.own_var_id(), bench.sut.rep_cnt(3), 300
     since = create_own(bench, name, timeout_ms, count)
-    found = bench.required(
-        deleted(bench, name, since, timeout_ms),
-        "a VarDelete of the node's own variable",
-        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
-    )
+    found = deleted_by_producer(bench, name, since, timeout_ms)
     bench.passed("scrubbing runs from the start", "VD-INI-06", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")
@@ -147,10 +142,7 @@ def deleted_skipped(bench: Bench) -> None:
 def cancels(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15)
     since = sent(bench, peer, peer.create(name, timeout=1, rep_cnt=count))
-    found = deleted(bench, name, since, 1)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
+    found = deleted_by_consumer(bench, name, since, 1)
     bench.check_repeated(_DELETE, name, count, 0)
     _check_no_trace(bench, name, found)
 

@@ -13,9 +13,11 @@ from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
+    check_not_kept,
     check_time,
     create_own,
     deleted,
+    deleted_by_consumer,
     lasting,
     latest,
     learn,
@@ -67,10 +69,7 @@ def kept_by_updates(bench: Bench) -> None:
     )
     if early:
         return
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        not_by_consumers(bench, name)
-        return
+    found = deleted_by_consumer(bench, name, since, timeout_ms)
     last_one = any(each.record.seqno == number for each in bench.instructions(ICType.UPDATES, name))
     check_time(bench, found, since, timeout_ms, "VD-SCR-01 VD-SCR-06", received=last_one)
 
@@ -136,22 +135,6 @@ def _check_in_time(bench: Bench, slowest: int, timeout_ms: int, early: Sequence[
         bench.inconclusive("updates within the timeout", f"{slowest / MS:.0f} ms between two of them")
 
 
-def _equal(peer: Peer, name: int) -> None:
-    peer.send(peer.update(name, 5, b"another"))
-
-
-def _older(peer: Peer, name: int) -> None:
-    peer.send(peer.update(name, 4, b"older"))
-
-
-def _summary(peer: Peer, name: int) -> None:
-    peer.send(peer.summary(name, 5))
-
-
-def _request(peer: Peer, name: int) -> None:
-    peer.send(peer.request_create(name), peer.request_update(name, 3))
-
-
 @case(
     "TC_VD_SCR_TI_06",
     "A record that changes nothing does not extend the life of a variable ({variant})",
@@ -160,25 +143,15 @@ def _request(peer: Peer, name: int) -> None:
     expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
-    variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
+    variants={
+        "equal-update": lambda peer, name: peer.send(peer.update(name, 5, b"another")),
+        "older-update": lambda peer, name: peer.send(peer.update(name, 4, b"older")),
+        "summary": lambda peer, name: peer.send(peer.summary(name, 5)),
+        "request": lambda peer, name: peer.send(peer.request_create(name), peer.request_update(name, 3)),
+    },
 )
-def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
-    shorten_scrubbing(bench)
-    peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
-    creates = (peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))
-    since = sent(bench, peer, *creates)
-    deadline = since.after + latest(bench, timeout_ms)
-    while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.waiting.wait_ns(150 * MS)
-        if not bench.instructions(_DELETE, name):
-            act(peer, name)
-    found = bench.instructions(_DELETE, name)
-    if not found and not bench.instructions(_DELETE, silent):
-        # If only producers scrub (X26), this cannot be tested.
-        not_by_consumers(bench, name)
-        return
-    bench.required(found, "a VarDelete of the variable, as of the one without further records")
-    check_time(bench, found[0], since, timeout_ms)
+def not_kept(bench: Bench, act: Callable[[Peer, int], object]) -> None:
+    check_not_kept(bench, lambda peer, record: act(peer, record.spec.var_id), "records")
 
 
 @case(
@@ -198,9 +171,7 @@ def created_again(bench: Bench) -> None:
     peer, name = bench.peer(), bench.var_id()
     short = lasting(bench, 300, 2)
     first = learn(bench, peer, name, short)
-    if deleted(bench, name, first, short) is None:
-        not_by_consumers(bench, name)
-        return
+    deleted_by_consumer(bench, name, first, short)
     bench.waiting.repeated(_DELETE, name, 0)
     mark = bench.mark()
     long = 3 * short
@@ -214,14 +185,6 @@ def created_again(bench: Bench) -> None:
     check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03 VD-SCR-01")
 
 
-def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
-    return create_own(bench, name, timeout_ms)
-
-
-def _foreign(bench: Bench, name: int, timeout_ms: int) -> Change:
-    return learn(bench, bench.peer(), name, timeout_ms)
-
-
 _LONGEST = 65_535
 
 
@@ -233,17 +196,15 @@ _LONGEST = 65_535
     expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
     window=700,
     needs=_WIRE,
-    variants={"received": _foreign, "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
+    variants={"received": False, "own": Variant(True, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
     long=True,
 )
-def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
+def longest_timeout(bench: Bench, own: bool) -> None:
     shorten_scrubbing(bench)
-    name = bench.identifiers.own_var_id() if make is _own else bench.var_id()
-    since = make(bench, name, _LONGEST)
+    name = bench.identifiers.own_var_id() if own else bench.var_id()
+    since = create_own(bench, name, _LONGEST) if own else learn(bench, bench.peer(), name, _LONGEST)
     found = deleted(bench, name, since, _LONGEST)
-    if found is None and make is _foreign:
+    if found is None and not own:
         not_by_consumers(bench, name)
         return
-    bench.required(found, "a VarDelete of the variable")
-    assert found is not None
-    check_time(bench, found, since, _LONGEST)
+    check_time(bench, bench.required(found, "a VarDelete of the variable"), since, _LONGEST)

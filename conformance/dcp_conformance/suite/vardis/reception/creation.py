@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import longest_description, max_repetitions, teach_variable
+from dcp_conformance.test_steps.services import binary_identifiers, longest_description, max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, modulus, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -30,10 +30,6 @@ def _held(bench: Bench, var_id: int, record: VarCreate, what: str, *requirements
 # -- forwarded unchanged -----------------------------------------------------------------------------------------------
 
 _Make = Callable[[Bench, Peer, int], VarCreate]
-
-
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
 
 
 def _plain(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG001
@@ -91,8 +87,8 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
         "largest": Variant(_largest),
         "smallest": Variant(_smallest),
         "far-producer": Variant(_umlauts),
-        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
-        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=_binary)),
+        "zeros": Variant(_zeros, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=binary_identifiers)),
+        "ones": Variant(_ones, requirements="VD-PC-07 VD-PC-10 VD-TYP-06", needs=Needs(when=binary_identifiers)),
         "timeout": Variant(_with_timeout, requirements="VD-PC-10 VD-TYP-04 VD-TYP-06", needs=_V2_0),
     },
 )
@@ -127,13 +123,11 @@ def unchanged(bench: Bench, make: _Make) -> None:
 )
 def replaced(bench: Bench) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
-    first = peer.create(var_id, seqno=9)
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, seqno=9)
     count = min(2, max_repetitions(bench))
     second = other.create(var_id, value=b"other", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1)
     bench.records.creation_time()
-    since = bench.mark()
-    other.send(second)
+    since = other.stimulate(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
     bench.every(found, second, "the VarCreate unchanged")
     _held(bench, var_id, second, "all contents of the second VarCreate in the database", "VD-PC-07")
@@ -161,13 +155,10 @@ _Offset = Callable[[int], int]
 )
 def not_replaced(bench: Bench, offset: _Offset) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    first = peer.create(var_id, value=b"first")
-    bench.learn(peer, first)
-    since = bench.mark()
+    first = bench.learnt(peer, var_id, value=b"first")
     other = bench.peer()
-    other.send(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
-    bench.require_alive("a VarCreate that is not later")
-    bench.beacons(1, 1.5)
+    since = other.stimulate(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
+    bench.require_processed("a VarCreate that is not later")
     bench.none(traces(bench, var_id, since), "no record of the variable")
     _held(bench, var_id, first, "the first VarCreate in the database")
 
@@ -229,8 +220,7 @@ def together(bench: Bench, descending: bool) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
     records = [peer.create(var_id, value=b"early"), other.create(var_id, value=b"later")]
     later = records[1]
-    since = bench.mark()
-    peer.send(*(reversed(records) if descending else records))
+    since = peer.stimulate(*(reversed(records) if descending else records))
     found = bench.check_repeated(CREATES, var_id, 1, since)
     bench.proved(
         all(each.record == later for each in found), "only the later one is forwarded", "the other one", frames=found
@@ -259,8 +249,7 @@ def revived(bench: Bench) -> None:
         (peer.update(var_id, 1), ICType.UPDATES),
         (peer.delete(var_id), ICType.DELETE_VARIABLES),
     ):
-        since = bench.mark()
-        peer.send(what)
+        since = peer.stimulate(what)
         found = bench.check_repeated(kind, var_id, 1, since)
         bench.none([each for each in found if each.record != what], f"the {kind.label} record unchanged")
         if kind is CREATES and bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
@@ -284,12 +273,10 @@ def revived(bench: Bench) -> None:
 )
 def own_producer(bench: Bench) -> None:
     peer, var_id, own = bench.peer(), bench.unknown_id(), own_id(bench)
-    since = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    since = peer.stimulate(peer.summary(var_id, 1))
     bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     peer.send(peer.create(var_id, producer=own, seqno=1))
-    bench.require_alive("a VarCreate with its own identifier as prodId")
-    bench.beacons(1, 1.5)
+    bench.require_processed("a VarCreate with its own identifier as prodId")
     found = traces(bench, var_id, since, set(ICType) - {ICType.REQUEST_VARCREATES})
     bench.none(found, "no record of the variable other than requests")
     peer.send(peer.summary(var_id, 1))
@@ -309,10 +296,8 @@ def two_identifiers(bench: Bench) -> None:
     peer, (spec, upd) = bench.peer(), bench.identifiers.unknown_ids(2)
     bench.identifiers.created.add(spec)
     record = bench.builder.container(peer.create(spec), lies={"records[0].upd.varId": upd})
-    since = bench.mark()
-    peer.send(record)
-    bench.require_alive("a VarCreate with two identifiers")
-    bench.beacons(1, 1.5)
+    since = peer.stimulate(record)
+    bench.require_processed("a VarCreate with two identifiers")
     taken = bench.instructions(CREATES, spec, since)
     wrong = traces(bench, upd, since, set(ICType) - {ICType.REQUEST_VARCREATES})
     right = bench.none(wrong, "no record of the variable in the update")
@@ -333,12 +318,10 @@ def two_identifiers(bench: Bench) -> None:
 )
 def known_in_1_x(bench: Bench) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
-    first = peer.create(var_id, value=b"first")
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, value=b"first")
     since = bench.mark()
     for each in (peer, other):
         each.send(each.create(var_id, value=b"next", seqno=stepped(bench, 0, 1)))
-    bench.require_alive("VarCreates of a known variable")
-    bench.beacons(1, 1.5)
+    bench.require_processed("VarCreates of a known variable")
     bench.none(traces(bench, var_id, since), "no record of the variable")
     _held(bench, var_id, first, "the first VarCreate in the database")

@@ -18,10 +18,7 @@ from dcp_conformance.suite.bp.beacons.receive import check_processed
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.pacing import paced
-from dcp_conformance.test_steps.services import (
-    OK,
-    create_request,
-)
+from dcp_conformance.test_steps.services import OK, binary_identifiers, create_request
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_system.bench import Bench
 
@@ -67,8 +64,7 @@ def again(bench: Bench) -> None:
     # One kind after the other, as in a payload.
     stimuli.sort(key=lambda each: type(each[0]).__name__)
     for number in range(_ROUNDS):
-        start = bench.mark()
-        peer.send(*(record for record, _, _ in stimuli))
+        start = peer.stimulate(*(record for record, _, _ in stimuli))
 
         bench.until(lambda _, since=start: not _left(bench, stimuli, since))  # type: ignore[misc]
         bench.beacons(1, 1.5)
@@ -108,8 +104,7 @@ def after_errors(bench: Bench, octets: bytes) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
     for _ in paced(bench, range(_DAMAGED)):
         peer.send(Block(BP_PROTID_VARDIS, octets))
-    start = bench.mark()
-    peer.send(peer.summary(var_id, 1))
+    start = peer.stimulate(peer.summary(var_id, 1))
     check_processed(bench, [var_id], start, "a payload after damaged ones of its sender")
 
 
@@ -146,10 +141,6 @@ def much_later(bench: Bench, seconds: int | None) -> None:
     bench.until_instruction(_DELETE, name)
 
 
-def _binary(bench: Bench) -> str | None:
-    return "identifiers are text" if bench.profile.types.node_id.representation == "text" else None
-
-
 @case(
     "TC_VD_ID_BV_03",
     "A producer whose identifier differs in one octet from the own one is another node (octet {variant})",
@@ -157,7 +148,7 @@ def _binary(bench: Bench) -> str | None:
     stimulus="VarCreate and VarUpdate of a variable whose producer differs in octet {variant} from the implementation",
     expect="both are forwarded",
     window=10,
-    needs=Needs(when=_binary),
+    needs=Needs(when=binary_identifiers),
     variants={f"{place}": place for place in range(6)},
 )
 def nearly_own(bench: Bench, place: int) -> None:
@@ -223,8 +214,7 @@ def long_received(bench: Bench, length: int) -> None:
     update = peer.update(name, 1, _text(length, 7), exact=True)
     peer.send(update)
     bench.equal(bench.until_instruction(_UPDATE, name), update, "the VarUpdate", "VD-PU-04 VD-PU-07")
-    start = bench.mark()
-    peer.send(peer.request_create(name))
+    start = peer.stimulate(peer.request_create(name))
     bench.until_instruction(_CREATE, name)
     found = bench.instructions(_CREATE, name, start)[:1]
     bench.some(found, "a VarCreate when the variable is requested", "VD-RC-03")

@@ -122,8 +122,7 @@ def all_types(bench: Bench, turn: int) -> None:
         bench.builder.container(peer.request_create(asked)),
     ]
     containers = containers[turn % 6 :] + containers[: turn % 6]
-    since = bench.mark()
-    peer.send(*(containers if turn < 6 else containers[::-1]))
+    since = peer.stimulate(*(containers if turn < 6 else containers[::-1]))
     expected = {
         (ICType.CREATE_VARIABLES, fresh): "the VarCreate is forwarded",
         (ICType.DELETE_VARIABLES, doomed): "the VarDelete is forwarded",
@@ -169,8 +168,7 @@ def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> Non
     if kind is not ICType.CREATE_VARIABLES:
         teach_variables(bench, peer, [peer.create(var_id, seqno=5) for var_id in ids])
     one, two, three = (make(peer, var_id) for var_id in ids)
-    since = bench.mark()
-    peer.send(bench.builder.container(one, two), bench.builder.container(three))
+    since = peer.stimulate(bench.builder.container(one, two), bench.builder.container(three))
     bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.teaching.periods(6))
     missing = [number for number, var_id in enumerate(ids, 1) if not bench.instructions(answer, var_id, since)]
     bench.complete(missing, f"effects of three {kind.label} records in two containers")
@@ -182,10 +180,8 @@ _ORDERS = {"in-order": False, "reversed": True}
 
 
 def _send(bench: Bench, peer: Peer, records: tuple[VardisRecord, ...], reverse: bool) -> int:
-    since = bench.mark()
     containers = [bench.builder.container(each) for each in records]
-    peer.send(*(reversed(containers) if reverse else containers))
-    return since
+    return peer.stimulate(*(reversed(containers) if reverse else containers))
 
 
 def require_both_taken(bench: Bench, peer: Peer, reverse: bool) -> None:
@@ -239,8 +235,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
         settled(bench, var_id)
     since = _send(bench, peer, (peer.delete(var_id), peer.update(var_id, 1)), reverse)
     bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
-    upper = bench.session.upper
-    describes = upper is not None and "RTDB-DescribeVariable" in upper.methods
+    describes = bench.services.offers("RTDB-DescribeVariable")
     entry = entry_of(bench, var_id) if describes else None
     deleted = bench.check_repeated(ICType.DELETE_VARIABLES, var_id, count, since, "VD-PD-04", absent="VD-RX-04")
     if not deleted:
@@ -389,7 +384,6 @@ def creates_in_order(bench: Bench) -> None:
     peer, var_id, stamp = bench.peer(), bench.var_id(), bench.records.creation_time()
     first = peer.create(var_id, value=b"first", creation_time=stamp)
     second = peer.create(var_id, value=b"next", creation_time=stamp)
-    since = bench.mark()
-    peer.send(first, second)
+    since = peer.stimulate(first, second)
     found: list[VarCreate] = [each.record for each in bench.waiting.repeated(ICType.CREATE_VARIABLES, var_id, since)]
     bench.in_order(found, [first], "only the first VarCreate is forwarded")

@@ -70,9 +70,7 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
 )
 def after_the_error(bench: Bench, bad: _Bad) -> None:
     peer, (wanted, damaged) = bench.peer(), bench.identifiers.unknown_ids(2)
-    since = bench.mark()
-    peer.send(bad(bench, peer, damaged), bench.builder.container(peer.summary(wanted, 1)))
-    bench.require_alive("the payload")
-    bench.beacons(1, 1.5)
+    since = peer.stimulate(bad(bench, peer, damaged), bench.builder.container(peer.summary(wanted, 1)))
+    bench.require_processed("the payload")
     found = bench.instructions(_REQUEST, wanted, since)
     bench.none(found, "no request for the variable in the container after the invalid one")

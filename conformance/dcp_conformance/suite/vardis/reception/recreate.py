@@ -15,12 +15,11 @@ from dcp_conformance.test_steps.services import (
     OK,
     create_request,
     created_again,
-    delete_taught_variable,
+    deleted_by_peer,
     expect_any,
     max_repetitions,
     nanoseconds,
     produced,
-    same_status,
     settled,
     several_repetitions,
     teach_variable,
@@ -56,9 +55,7 @@ def foreign(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def foreign_deleted(bench: Bench) -> None:
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer)
-    delete_taught_variable(bench, peer, var_id)
+    var_id = deleted_by_peer(bench, 1)
     answer = expect_any(bench, (EXISTS, OK), "RTDB-Create", "VD-CRE-02", **create_request(bench, var_id))
     if answer.ok or answer.is_status(EXISTS):
         bench.reading("X20", "by-description" if answer.ok else "by-steps")
@@ -93,9 +90,7 @@ def own_exists(bench: Bench) -> None:
 )
 def own_created_again(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     bench.wait(2)
     # The resolution of the clock may be coarser than this.
@@ -142,12 +137,9 @@ def _recreated(record: Any | None, before: int) -> Any | None:
 def ends_deletion(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Delete", varId=var_id)
-    if bench.until_instruction(_DELETE, var_id) is None:
-        bench.inconclusive("a VarDelete", "none in time")
+    bench.needed(bench.until_instruction(_DELETE, var_id), "a VarDelete")
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     done = bench.mark()
@@ -180,15 +172,12 @@ def ends_deletion(bench: Bench) -> None:
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count, value=b"first")
-    first = bench.until_instruction(_CREATE, var_id)
-    if first is None:
-        bench.inconclusive("the first VarCreate", "none in time")
+    first = bench.needed(bench.until_instruction(_CREATE, var_id), "the first VarCreate")
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
-    if bench.until_instruction(_UPDATE, var_id) is None:
-        bench.inconclusive("a VarUpdate", "none in time")
+    bench.needed(bench.until_instruction(_UPDATE, var_id), "a VarUpdate")
     mark = bench.mark()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
-    if same_status(answer, EXISTS):
+    if answer.is_status(EXISTS):
         bench.reading("X20", "by-description")
         return
     bench.services.check_status(answer, (OK,), "RTDB-Create")
@@ -253,11 +242,9 @@ def request_ended(bench: Bench) -> None:
     for _ in range(3):
         peer, var_id = bench.peer(), bench.identifiers.own_var_id()
         bench.beacons(1)
-        since = bench.mark()
-        peer.send(peer.summary(var_id, 1))
+        since = peer.stimulate(peer.summary(var_id, 1))
         bench.must("RTDB-Create", **create_request(bench, var_id))
-        bench.require_alive("a summary and RTDB-Create")
-        bench.beacons(1, 1.5)
+        bench.require_processed("a summary and RTDB-Create")
         late = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
         if not late:
             break

@@ -110,8 +110,7 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     def good(var_id: int) -> bytes:
         return bench.builder.container(peer.summary(var_id, 1))
 
-    since = bench.mark()
-    peer.send(bad(bench, peer, damaged[0]))
+    since = peer.stimulate(bad(bench, peer, damaged[0]))
     peer.send(good(before), bad(bench, peer, damaged[1]))
     peer.send(bad(bench, peer, damaged[2]), good(behind))
     peer.send(good(first), bad(bench, peer, damaged[3]), good(last))
@@ -197,8 +196,7 @@ def cut_off(bench: Bench) -> None:
         peer.send(Block(BP_PROTID_VARDIS, whole[:size]))
         if size % 16 == 0:
             bench.until(bool, 1.5)
-    bench.require_alive("truncated payloads", "VD-ROB-01")
-    bench.beacons(1, 1.5)
+    bench.require_processed("truncated payloads", "VD-ROB-01")
     kept = bool(bench.instructions(ICType.REQUEST_VARCREATES, first, since))
     bench.info(
         "Which containers of a truncated payload are processed?",

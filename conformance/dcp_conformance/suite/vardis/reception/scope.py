@@ -22,8 +22,7 @@ _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 def summaries_stay(bench: Bench) -> None:
     peer = bench.peer()
     var_id, unknown = teach_variable(bench, peer, seqno=5), bench.unknown_id()
-    since = bench.mark()
-    peer.send(peer.summary(var_id, 9), peer.summary(unknown, 9))
+    since = peer.stimulate(peer.summary(var_id, 9), peer.summary(unknown, 9))
     bench.require_alive("the summaries")
     bench.beacons(3)
     wrong = [each for each in bench.instructions(ICType.SUMMARIES, var_id, since) if each.record.seqno != 5]
@@ -42,8 +41,7 @@ def summaries_stay(bench: Bench) -> None:
 def requests_stay(bench: Bench) -> None:
     peer = bench.peer()
     ids = [teach_variable(bench, peer, seqno=5) for _ in range(4)]
-    since = bench.mark()
-    peer.send(
+    since = peer.stimulate(
         peer.request_create(ids[0]),
         *(peer.request_update(var_id, 5 + step) for var_id, step in zip(ids[1:], (-1, 0, 1), strict=True)),
     )
@@ -89,8 +87,7 @@ _SINCE_1_1 = Needs(since=SpecVersion.V1_1)
 )
 def asks_too(bench: Bench) -> None:
     peer, (one, two) = bench.peer(), bench.identifiers.unknown_ids(2)
-    since = bench.mark()
-    peer.send(peer.request_create(one), peer.request_create(one))
+    since = peer.stimulate(peer.request_create(one), peer.request_create(one))
     peer.send(peer.request_update(two, 3))
     bench.check_repeated(_RC, one, 1, since, "VD-RC-01")
     bench.check_repeated(_RC, two, 1, since, "VD-RU-01")

@@ -90,15 +90,40 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     return creates, since
 
 
-def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+@case(
+    "TC_VD_SEQ_BV_01",
+    "The sequence number of a VarUpdate is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-PU-07",
+    stimulus="VarUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect=(
+        "a newer one is stored and forwarded; an older one is answered with the stored value; an equal one is ignored"
+    ),
+    variants=_variants(UPDATE),
+)
+@case(
+    "TC_VD_SEQ_BV_02",
+    "The sequence number of a summary is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-PS-04",
+    stimulus="summaries with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="a newer one causes a request; an older one is answered with the stored value; an equal one is ignored",
+    variants=_variants(SUMMARY),
+)
+@case(
+    "TC_VD_SEQ_BV_03",
+    "The sequence number of a VarReqUpdate is compared correctly, also across wrap-around (distance {variant})",
+    requirements="VD-RU-04",
+    stimulus="VarReqUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="an older one is answered with the stored value; the others are ignored",
+    variants=_variants(REQUEST),
+)
+def compared(bench: Bench, what: tuple[Question, Distance, int]) -> None:
     question, distance, which = what
     creates, since = _ask(bench, question, distance)
     kind, step = question.answers[which], _steps(bench, distance)
     if kind is not None:
         wanted = {each.spec.var_id for each in creates}
         bench.until(lambda heard: wanted <= {each.var_id for each in heard.instructions(kind)}, bench.sut.reaction)
-    bench.require_alive("the records")
-    bench.beacons(1, 1.5)
+    bench.require_processed("the records")
     for create in creates:
         var_id, stored = create.spec.var_id, create.upd.seqno
         name = f"stored sequence number {stored}, received {stepped(bench, stored, step)}"
@@ -117,44 +142,6 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
 
 
 @case(
-    "TC_VD_SEQ_BV_01",
-    "The sequence number of a VarUpdate is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-PU-07",
-    stimulus="VarUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect=(
-        "a newer one is stored and forwarded; an older one is answered with the stored value; an equal one is ignored"
-    ),
-    variants=_variants(UPDATE),
-)
-def updates(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
-
-
-@case(
-    "TC_VD_SEQ_BV_02",
-    "The sequence number of a summary is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-PS-04",
-    stimulus="summaries with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect="a newer one causes a request; an older one is answered with the stored value; an equal one is ignored",
-    variants=_variants(SUMMARY),
-)
-def summaries(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
-
-
-@case(
-    "TC_VD_SEQ_BV_03",
-    "The sequence number of a VarReqUpdate is compared correctly, also across wrap-around (distance {variant})",
-    requirements="VD-RU-04",
-    stimulus="VarReqUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
-    expect="an older one is answered with the stored value; the others are ignored",
-    variants=_variants(REQUEST),
-)
-def requests(bench: Bench, what: tuple[Question, Distance, int]) -> None:
-    _decide(bench, what)
-
-
-@case(
     "TC_VD_SEQ_BO_01",
     "Reports how a sequence number half the number space away from the stored one is compared",
     requirements="VD-ROB-01",
@@ -166,8 +153,7 @@ def half_the_range(bench: Bench) -> None:
     heard: dict[str, str] = {}
     for name, question in {"VarUpdate": UPDATE, "summary": SUMMARY, "VarReqUpdate": REQUEST}.items():
         creates, since = _ask(bench, question, HALF)
-        bench.require_alive(f"a {name} half the number space away")
-        bench.beacons(1, 1.5)
+        bench.require_processed(f"a {name} half the number space away")
         # Of the seven stored numbers, an implementation without circular comparison treats some as older and some as
         # newer.
         kinds = []

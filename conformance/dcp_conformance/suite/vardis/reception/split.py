@@ -260,8 +260,7 @@ def many_containers(bench: Bench) -> None:
     split = Split(f"{len(long)} + {len(short)} octets", (long, short), (one,), (two,))
     play(bench, peer, [split], (ICType.REQUEST_VARCREATES,), "VD-RX-04")
     kinds = [each for each in _MAKE if each is not ICType.CREATE_VARIABLES]
-    since = bench.mark()
-    peer.send(
+    since = peer.stimulate(
         *(
             bench.builder.container(_MAKE[kinds[index % len(kinds)]](peer, each, index))
             for index, each in enumerate(ids)
@@ -295,8 +294,7 @@ def many_records(bench: Bench, count: int) -> None:
     if len(container) > largest_payload(bench, peer):
         bench.info("Can a container have many records?", f"unknown: {count} summaries do not fit into a payload")
         return
-    since = bench.mark()
-    peer.send(container)
+    since = peer.stimulate(container)
     for name, var_id in {"first": first, **({"middle": filler} if count > 2 else {}), "last": last}.items():
         if not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since):
             bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)

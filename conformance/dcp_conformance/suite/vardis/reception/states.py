@@ -193,17 +193,6 @@ def _cells(table: dict[str, list[_Row]], *, effect: bool) -> Iterator[tuple[str,
             )
 
 
-def _play(bench: Bench, cell: Cell) -> None:
-    situation = cell.situation(bench, cell.state)
-    record = cell.event(situation)
-    since = bench.mark()
-    situation.send(record)
-    if cell.outcome is None:
-        ignored(situation, since)
-    else:
-        cell.outcome(situation, since, record)
-
-
 @case(
     "TC_VD_STATE_BV_01",
     "{variant}",
@@ -213,10 +202,6 @@ def _play(bench: Bench, cell: Cell) -> None:
     window=4,
     variants=dict(_cells(_CONSUMER, effect=True)),
 )
-def consumer_effect(bench: Bench, cell: Cell) -> None:
-    _play(bench, cell)
-
-
 @case(
     "TC_VD_STATE_BO_01",
     "{variant}",
@@ -226,10 +211,6 @@ def consumer_effect(bench: Bench, cell: Cell) -> None:
     window=4,
     variants=dict(_cells(_CONSUMER, effect=False)),
 )
-def consumer_ignores(bench: Bench, cell: Cell) -> None:
-    _play(bench, cell)
-
-
 @case(
     "TC_VD_STATE_BO_02",
     "{variant} (1.0)",
@@ -239,10 +220,6 @@ def consumer_ignores(bench: Bench, cell: Cell) -> None:
     window=4,
     variants=dict(_cells({"unknown": UNKNOWN_1_0}, effect=False)),
 )
-def unknown_in_1_0(bench: Bench, cell: Cell) -> None:
-    _play(bench, cell)
-
-
 @case(
     "TC_VD_STATE_BV_02",
     "{variant}",
@@ -252,10 +229,6 @@ def unknown_in_1_0(bench: Bench, cell: Cell) -> None:
     window=4,
     variants=dict(_cells(_PRODUCER, effect=True)),
 )
-def producer_effect(bench: Bench, cell: Cell) -> None:
-    _play(bench, cell)
-
-
 @case(
     "TC_VD_STATE_BO_03",
     "{variant}",
@@ -265,8 +238,15 @@ def producer_effect(bench: Bench, cell: Cell) -> None:
     window=4,
     variants=dict(_cells(_PRODUCER, effect=False)),
 )
-def producer_ignores(bench: Bench, cell: Cell) -> None:
-    _play(bench, cell)
+def event(bench: Bench, cell: Cell) -> None:
+    situation = cell.situation(bench, cell.state)
+    record = cell.event(situation)
+    since = bench.mark()
+    situation.send(record)
+    if cell.outcome is None:
+        ignored(situation, since)
+    else:
+        cell.outcome(situation, since, record)
 
 
 @case(
@@ -280,8 +260,7 @@ def producer_ignores(bench: Bench, cell: Cell) -> None:
 def removed(bench: Bench) -> None:
     peer = bench.peer()
     var_id = teach_variable(bench, peer)
-    since = bench.mark()
-    peer.send(peer.delete(var_id))
+    since = peer.stimulate(peer.delete(var_id))
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     peer.send(peer.summary(var_id, 0))
     came = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)

@@ -68,8 +68,7 @@ def lowered(bench: Bench) -> None:
     bench.must("RTDB-Create", **request)
     bench.learn(peer, peer.create(name, value=b"a value of 12", descr=b"a dozen here", rep_cnt=count))
     bench.check_repeated(_CREATE, own, count, start, "VD-CRE-12")
-    start = bench.mark()
-    peer.send(peer.update(name, 1, b"another one"))
+    start = peer.stimulate(peer.update(name, 1, b"another one"))
     # A node that has not processed the update before the limits are lowered ignores it.
     bench.until_instruction(_UPDATE, name)
     bench.must("RTDB-Update", varId=own, value=bench.records.value(b"next of 12 o").hex())
@@ -82,12 +81,10 @@ def lowered(bench: Bench) -> None:
             ([peer.request_update(each, 0) for each in (name, own)], _UPDATE, "VD-RU-04"),
             ([peer.summary(name, 0)], _UPDATE, "VD-PS-03"),
         ):
-            start = bench.mark()
-            peer.send(*records)
+            start = peer.stimulate(*records)
             for record in records:
                 bench.check_repeated(kind, record.var_id, count, start, "VD-PAR-01", requirement)
-        start = bench.mark()
-        peer.send(peer.update(name, 2, b"few"))
+        start = peer.stimulate(peer.update(name, 2, b"few"))
         bench.expect_status(OK, "RTDB-Update", "VD-PAR-01", "VD-UPD-05", varId=own, value=b"few".hex())
         for each in (name, own):
             bench.check_repeated(_UPDATE, each, count, start, "VD-PAR-01", "VD-PU-07", "VD-UPD-08")
@@ -145,8 +142,7 @@ def raised_again(bench: Bench) -> None:
     limit = bench.builder.container_header_size + bench.builder.record_size(behind.upd) - 1
     # The limits of other parameters depend on the size of a payload.
     with parameters_set(bench, "VD", **{SUMMARIES: 0, "VARDISPAR_MAX_DESCRIPTION_LENGTH": 2}):
-        start = bench.mark()
-        peer.send(peer.request_create(asked.spec.var_id), peer.request_update(behind.spec.var_id, 4))
+        start = peer.stimulate(peer.request_create(asked.spec.var_id), peer.request_update(behind.spec.var_id, 4))
         with parameters_set(bench, "VD", **{PAYLOAD_SIZE: limit}):
             if not least_left(bench, count, start):
                 bench.inconclusive("repetitions that are left when the size is lowered", "none may be left")

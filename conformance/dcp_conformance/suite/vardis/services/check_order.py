@@ -18,22 +18,20 @@ from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,
     UNKNOWN,
     create_request,
-    delete_taught_variable,
+    deleted_by_peer,
     deleted_status,
     expect_any,
     longest_description,
     max_repetitions,
+    or_removed,
     produced,
     settled,
     teach_variable,
+    too_long,
 )
 from dcp_conformance.test_system.bench import Bench
 
 _MANAGE = ("VD-MGMT-Activate", "VD-MGMT-Deactivate")
-
-
-def _too_long(bench: Bench) -> str:
-    return (b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)).hex()
 
 
 def _several(bench: Bench) -> int:
@@ -49,10 +47,7 @@ def _own_deleted(bench: Bench) -> int:
 
 
 def _foreign_deleted(bench: Bench) -> int:
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer, rep_cnt=_several(bench))
-    delete_taught_variable(bench, peer, var_id)
-    return var_id
+    return deleted_by_peer(bench, _several(bench))
 
 
 def _unknown(bench: Bench) -> int:
@@ -61,11 +56,6 @@ def _unknown(bench: Bench) -> int:
 
 def _foreign(bench: Bench) -> int:
     return teach_variable(bench, bench.peer())
-
-
-def _or_gone(bench: Bench, status: str) -> tuple[str, ...]:
-    """Return the accepted statuses: up to 1.3, a deleted variable may already have been removed from the database."""
-    return (status, UNKNOWN) if bench.features.removed_after_deletion else (status,)
 
 
 def _asked(bench: Bench, statuses: tuple[str, ...], method: str, *requirements: str, **params: Any) -> None:
@@ -77,7 +67,7 @@ def _asked(bench: Bench, statuses: tuple[str, ...], method: str, *requirements: 
     bench.services.check_status(answer, statuses, method, *requirements)
 
 
-_Two = tuple[str, Callable[[Bench], int], Callable[[Bench], str] | str]
+_Two = tuple[str, Callable[[Bench], int], Callable[[Bench], bytes] | bytes]
 _DELETED = Needs(ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
 
 
@@ -89,23 +79,23 @@ _DELETED = Needs(ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
     expect="the status of the first failing check",
     needs=Needs(ut=("RTDB-Update",)),
     variants={
-        "unknown+long": (UNKNOWN, _unknown, _too_long),
-        "unknown+empty": (UNKNOWN, _unknown, ""),
-        "foreign+long": (NOT_PRODUCER, _foreign, _too_long),
-        "foreign+empty": (NOT_PRODUCER, _foreign, ""),
-        "foreign+deleted": (NOT_PRODUCER, _foreign_deleted, "00"),
-        "deleted+long": Variant(("", _own_deleted, _too_long), needs=_DELETED),
-        "deleted+empty": Variant(("", _own_deleted, ""), needs=_DELETED),
+        "unknown+long": (UNKNOWN, _unknown, too_long),
+        "unknown+empty": (UNKNOWN, _unknown, b""),
+        "foreign+long": (NOT_PRODUCER, _foreign, too_long),
+        "foreign+empty": (NOT_PRODUCER, _foreign, b""),
+        "foreign+deleted": (NOT_PRODUCER, _foreign_deleted, b"\0"),
+        "deleted+long": Variant(("", _own_deleted, too_long), needs=_DELETED),
+        "deleted+empty": Variant(("", _own_deleted, b""), needs=_DELETED),
     },
 )
 def update(bench: Bench, mistakes: _Two) -> None:
     status, variable, value = mistakes
-    octets = value if isinstance(value, str) else value(bench)
+    octets = value if isinstance(value, bytes) else value(bench)
     status = status or deleted_status(bench)
-    statuses = _or_gone(bench, status) if variable in (_own_deleted, _foreign_deleted) else (status,)
+    statuses = or_removed(bench, status) if variable in (_own_deleted, _foreign_deleted) else (status,)
     # The first mistake is not about a length, so assumed maxima do not matter.
     bench.assumptions.discard()
-    _asked(bench, statuses, "RTDB-Update", varId=variable(bench), value=octets)
+    _asked(bench, statuses, "RTDB-Update", varId=variable(bench), value=octets.hex())
 
 
 @case(
@@ -117,7 +107,7 @@ def update(bench: Bench, mistakes: _Two) -> None:
     needs=Needs(ut=("RTDB-Delete",)),
 )
 def delete(bench: Bench) -> None:
-    expect_any(bench, _or_gone(bench, NOT_PRODUCER), "RTDB-Delete", varId=_foreign_deleted(bench))
+    expect_any(bench, or_removed(bench, NOT_PRODUCER), "RTDB-Delete", varId=_foreign_deleted(bench))
 
 
 def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
@@ -126,7 +116,7 @@ def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
     return [
         create_request(bench, taken),
         create_request(bench, free, descr="d" * (longest + 1), value=b"v", exact=True),
-        create_request(bench, free, value=bytes.fromhex(_too_long(bench)), descr="d", exact=True),
+        create_request(bench, free, value=too_long(bench), descr="d", exact=True),
         create_request(bench, free, value=b""),
         create_request(bench, free, rep_cnt=0),
     ]
@@ -136,8 +126,7 @@ def _mistaken(bench: Bench) -> list[int]:
     """Return identifiers of variables that are unknown, produced by another node, or deleted, as far as the upper
     tester can create them.
     """
-    upper = bench.session.upper
-    deletes = upper is not None and {"RTDB-Create", "RTDB-Delete"} <= upper.methods
+    deletes = bench.services.offers("RTDB-Create", "RTDB-Delete")
     own = [produced(bench, rep_cnt=_several(bench))] if deletes else []
     for each in own:
         settled(bench, each)
@@ -149,10 +138,10 @@ def _mistaken(bench: Bench) -> list[int]:
 
 
 def _update_mistakes(bench: Bench) -> list[dict[str, Any]]:
-    alive: list[dict[str, Any]] = [{"varId": _foreign(bench), "value": each} for each in (_too_long(bench), "")]
-    if bench.session.upper is not None and "RTDB-Create" in bench.session.upper.methods:
+    alive: list[dict[str, Any]] = [{"varId": _foreign(bench), "value": each} for each in (too_long(bench).hex(), "")]
+    if bench.services.offers("RTDB-Create"):
         own = produced(bench)
-        alive += [{"varId": own, "value": each} for each in (_too_long(bench), "")]
+        alive += [{"varId": own, "value": each} for each in (too_long(bench).hex(), "")]
     return [*alive, *({"varId": each, "value": "00"} for each in _mistaken(bench))]
 
 

@@ -29,6 +29,7 @@ from dcp_conformance.test_steps.services import (
     produced,
     teach_variable,
     timed,
+    too_long,
 )
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
 from dcp_conformance.test_system.bench import MS, Bench
@@ -297,23 +298,19 @@ def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]
 
 _ORDER: dict[str, Callable[[Bench], tuple[str, dict[str, Any]]]] = {
     "taken+descr": lambda b: (EXISTS, _double(b, True, descr=_long_descr(b))),
-    "taken+value": lambda b: (EXISTS, _double(b, True, value=_long_value(b))),
+    "taken+value": lambda b: (EXISTS, _double(b, True, value=too_long(b))),
     "taken+empty": lambda b: (EXISTS, _double(b, True, value=b"")),
     "taken+repcnt": lambda b: (EXISTS, _double(b, True, rep_cnt=0)),
-    "descr+value": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=_long_value(b))),
+    "descr+value": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=too_long(b))),
     "descr+empty": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=b"")),
     "descr+repcnt": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), rep_cnt=0)),
-    "value+repcnt": lambda b: (VALUE_TOO_LONG, _double(b, value=_long_value(b), rep_cnt=0)),
+    "value+repcnt": lambda b: (VALUE_TOO_LONG, _double(b, value=too_long(b), rep_cnt=0)),
     "empty+repcnt": lambda b: (empty_status(b), _double(b, value=b"", rep_cnt=0)),
 }
 
 
 def _long_descr(bench: Bench) -> str:
     return "d" * (longest_description(bench) + 1)
-
-
-def _long_value(bench: Bench) -> bytes:
-    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 @case(
@@ -354,6 +351,6 @@ def empty_description(bench: Bench) -> None:
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
         bench.answered(answer.ok, claimed, "an empty description is accepted, as empty_description in the PICS claims")
-    if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
+    if answer.ok and bench.services.offers("RTDB-Delete"):
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_codec.values import VarCreate, VardisRecord
+from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import longest_description, teach_variable
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_state, check_stored, named, traces
@@ -35,19 +35,15 @@ def _field(bench: Bench, what: str) -> tuple[int, int]:
     return bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
 
 
-def _requirement(what: str) -> str:
-    return {"value": "VD-PC-04", "description": "VD-PC-05", "repCnt": "VD-PC-06"}[what]
-
-
 def _variants() -> dict[str, Variant]:
     found = {}
-    for what in ("value", "description", "repCnt"):
+    for what, requirement in (("value", "VD-PC-04"), ("description", "VD-PC-05"), ("repCnt", "VD-PC-06")):
         for name, (bound, allowed, since) in _BOUNDS.items():
             # Version 1.1 does not check repetition counts.
             found[f"{what}-{name}"] = Variant(
                 (what, bound, allowed, (max(since, _V1_2) if what == "repCnt" else since)),
                 purpose=f"A VarCreate is {'accepted' if allowed else 'ignored'} ({what}: {name})",
-                requirements=_requirement(what),
+                requirements=requirement,
                 stimulus=f"a VarCreate of an unknown variable ({what}: {name}; a length or count, max: the parameter)",
                 expect="it is forwarded and stored" if allowed else "no reaction; the variable remains unknown",
             )
@@ -64,7 +60,11 @@ def _variants() -> dict[str, Variant]:
     variants=_variants(),
 )
 def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
-    field, bound, allowed, refused = what
+    _check(bench, *what)
+
+
+def _check(bench: Bench, field: str, bound: Bound, allowed: bool, refused: SpecVersion, *, known: bool = False) -> None:
+    """Check the reaction to a VarCreate, or to a VarUpdate of a ``known`` variable, with a field of this length."""
     most, widest = _field(bench, field)
     number = bound(most)
     if not _expressible(bench, number, most, widest, allowed=allowed):
@@ -72,34 +72,36 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     if number <= 1:
         # Accepted or rejected whatever the maximum is.
         bench.assumptions.discard()
-    peer, var_id = bench.peer(), bench.unknown_id()
-    bench.identifiers.created.add(var_id)
-    record = peer.create(
-        var_id,
-        value=b"v" * (number if field == "value" else 1),
-        descr=b"d" * (number if field == "description" else 1),
-        rep_cnt=number if field == "repCnt" else 1,
-        exact=True,
-    )
-    since = bench.mark()
-    peer.send(record)
+    peer, value = bench.peer(), b"v" * (number if field == "value" else 1)
+    record: VarCreate | VarUpdate
+    if known:
+        var_id, name, which = teach_variable(bench, peer, value=b"value"), "VarUpdate", f"value of {number} octets"
+        record = peer.update(var_id, 1, value, exact=True)
+    else:
+        var_id, name, which = bench.unknown_id(), "VarCreate", f"{field} of {number}"
+        bench.identifiers.created.add(var_id)
+        descr, rep_cnt = b"d" * (number if field == "description" else 1), number if field == "repCnt" else 1
+        record = peer.create(var_id, value=value, descr=descr, rep_cnt=rep_cnt, exact=True)
+    since = peer.stimulate(record)
     if allowed:
-        came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-        bench.equal(came, record, "the accepted VarCreate, forwarded unchanged")
+        came = bench.until_instruction(ICType.UPDATES if known else ICType.CREATE_VARIABLES, var_id)
+        bench.equal(came, record, f"the accepted {name}, forwarded unchanged")
         if came is not None:
-            held = ask(bench, var_id)
-            bench.equal(held.record, record, "the VarCreate unchanged in the database")
+            stored = ask(bench, var_id).record
+            bench.equal(stored and stored.upd if known else stored, record, f"the {name} unchanged in the database")
         return
-    bench.require_alive("the VarCreate")
-    bench.beacons(2, 2.5)
-    found = traces(bench, var_id, since, ICType)
+    bench.require_alive(f"the {name}")
+    bench.beacons(*((1, 1.5) if known else (2, 2.5)))
+    found = traces(bench, var_id, since, INSTRUCTIONS if known else ICType)
     if bench.profile.spec_version < refused:
-        bench.info(
-            f"What is the reaction to a VarCreate with a {field} of {number}, which no rule forbids?", named(found)
-        )
+        bench.info(f"What is the reaction to a {name} with a {which}, which no rule forbids?", named(found))
         return
-    bench.none(found, f"a VarCreate with a {field} of {number} is ignored")
-    check_state(bench, ask(bench, var_id), "unknown", "state of the variable")
+    bench.none(found, f"a {name} with a {which} is ignored")
+    held = ask(bench, var_id)
+    if known:
+        check_stored(bench, held, 0, b"value", "stored sequence number and value, as before")
+    else:
+        check_state(bench, held, "unknown", "state of the variable")
 
 
 def _expressible(bench: Bench, number: int, most: int, widest: int, *, allowed: bool) -> bool:
@@ -134,34 +136,7 @@ def _updates() -> dict[str, Variant]:
     variants=_updates(),
 )
 def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
-    bound, allowed, refused = what
-    most, widest = _field(bench, "value")
-    number = bound(most)
-    if not _expressible(bench, number, most, widest, allowed=allowed):
-        return
-    if number <= 1:
-        bench.assumptions.discard()
-    peer = bench.peer()
-    var_id = teach_variable(bench, peer, value=b"value")
-    record, since = peer.update(var_id, 1, b"v" * number, exact=True), bench.mark()
-    peer.send(record)
-    if allowed:
-        came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.equal(came, record, "the accepted VarUpdate, forwarded unchanged")
-        if came is not None:
-            held = ask(bench, var_id)
-            bench.equal(held.record and held.record.upd, record, "the VarUpdate unchanged in the database")
-        return
-    bench.require_alive("the VarUpdate")
-    bench.beacons(1, 1.5)
-    found = traces(bench, var_id, since)
-    if bench.profile.spec_version < refused:
-        bench.info(
-            f"What is the reaction to a VarUpdate with a value of {number} octets, which no rule forbids?", named(found)
-        )
-        return
-    bench.none(found, f"a VarUpdate with a value of {number} octets is ignored")
-    check_stored(bench, ask(bench, var_id), 0, b"value", "stored sequence number and value, as before")
+    _check(bench, "value", *what, known=True)
 
 
 @case(
@@ -252,7 +227,6 @@ def length_of_received_text(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
     bench.identifiers.created.add(var_id)
     peer.send(peer.create(var_id, descr=descr, value=b"v", exact=True))
-    bench.require_alive("the VarCreate")
-    bench.beacons(1, 1.5)
+    bench.require_processed("the VarCreate")
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
     bench.none(found, f"a VarCreate with a description of {len(descr)} octets is ignored")

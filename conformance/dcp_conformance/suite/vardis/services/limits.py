@@ -65,21 +65,18 @@ def received(bench: Bench, limits: Limits) -> None:
             what = f"a VarCreate with a value of {value} octets and a description of {description}"
             wrong = ("VD-PC-04", "VD-PC-05") if not requirement else (requirement,)
             if requirement:
-                bench.require_alive(what)
-                bench.beacons(1, 1.5)
+                bench.require_processed(what)
                 found = bench.instructions(ICType.CREATE_VARIABLES, record.spec.var_id)
                 bench.none(found, f"{what} is ignored", *wrong)
             else:
                 sent_on = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
                 bench.some(sent_on, f"{what} is forwarded", *wrong)
-        known = peer.create(bench.unknown_id(), value=b"v", descr=b"d")
-        bench.learn(peer, known)
+        known = bench.learnt(peer, bench.unknown_id(), value=b"v", descr=b"d")
         name = known.spec.var_id
         peer.send(peer.update(name, 1, b"v" * limits.value, exact=True))
         stored = bench.until_instruction(ICType.UPDATES, name)
         bench.some(stored, f"a VarUpdate with a value of {limits.value} octets is forwarded", "VD-PU-04")
-        mark = bench.mark()
-        peer.send(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
+        mark = peer.stimulate(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
         held = ask(bench, name)
         wrong_update = [each for each in bench.instructions(ICType.UPDATES, name, mark) if each.record.seqno == 2]
         taken = wrong_update or (held.record is not None and held.record.upd.seqno == 2)

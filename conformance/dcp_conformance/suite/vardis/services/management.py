@@ -60,8 +60,7 @@ def on_and_off(bench: Bench) -> None:
 )
 def no_payloads(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
-    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
-        bench.inconclusive("beacons with VarDis payloads", "none in time")
+    bench.needed(bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "beacons with VarDis payloads")
     with bench.services.deactivated("VD"):
         mark = bench.mark()
         bench.wait(6)
@@ -98,8 +97,7 @@ def discards(bench: Bench) -> None:
     known = teach_variable(bench, peer, value=b"before")
     created, summarized = bench.identifiers.unknown_ids(2)
     with bench.services.deactivated("VD"):
-        mark = bench.mark()
-        peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
+        mark = peer.stimulate(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
         bench.wait(max(2, bench.session.known.processing))
     bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)

@@ -86,8 +86,7 @@ def _is_least(bench: Bench, name: str) -> str | None:
 
 def _no_way_to_learn(bench: Bench) -> str | None:
     """Return why the maximum lengths of value and description cannot be determined, or None; for ``Needs.when``."""
-    upper = bench.session.upper
-    if upper is not None and ({_GET} <= upper.methods or {"RTDB-Create"} <= upper.methods):
+    if bench.services.offers(_GET) or bench.services.offers("RTDB-Create"):
         return None
     return f"the upper tester does not offer {_GET} or RTDB-Create"
 

@@ -17,7 +17,7 @@ from dcp_conformance.test_steps.services import (
     OK,
     UNKNOWN,
     create_request,
-    delete_taught_variable,
+    deleted_by_peer,
     described,
     expect_any,
     listed,
@@ -146,9 +146,7 @@ def deleted(bench: Bench) -> None:
     mine = produced(bench, rep_cnt=max_repetitions(bench))
     bench.must("RTDB-Delete", varId=mine)
     answers = [expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=mine)]
-    peer = bench.peer()
-    theirs = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
-    delete_taught_variable(bench, peer, theirs)
+    theirs = deleted_by_peer(bench, max_repetitions(bench))
     answers.append(expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=theirs))
     bench.proved(
         not any("value" in answer.result for answer in answers), "no value in the rejections", "a value in at least one"
@@ -321,9 +319,7 @@ def _single_client(bench: Bench) -> str | None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"), when=_single_client),
 )
 def two_clients(bench: Bench) -> None:
-    second = bench.services.upper.another()
-    if second is None:
-        bench.inconclusive("a second connection", "none available")
+    second = bench.needed(bench.services.upper.another(), "a second connection", "none available")
     try:
         clients = (bench.services.upper, second)
         mine = bench.identifiers.own_var_id(), bench.identifiers.own_var_id()

@@ -28,6 +28,7 @@ from dcp_conformance.test_steps.services import (
     settled,
     several_repetitions,
     teach_variable,
+    too_long,
 )
 from dcp_conformance.test_steps.variable_queries import stepped, traces
 from dcp_conformance.test_system.bench import Bench
@@ -48,23 +49,16 @@ class Refusal(NamedTuple):
     status: Callable[[Bench], str]
 
 
-def _long(bench: Bench) -> bytes:
-    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
-
-
 def _creation(**changes: Callable[[Bench], Any]) -> Callable[[Bench, int], dict[str, Any]]:
     def params(bench: Bench, var_id: int) -> dict[str, Any]:
         descr = bench.records.descr(b"other").decode()
-        given: dict[str, Any] = {"descr": descr, "value": b"w", "timeout": 30_000 if _has_timeouts(bench) else 0}
+        timed = bench.features.creation_time and bench.sut.longest_timeout >= 30_000
+        given: dict[str, Any] = {"descr": descr, "value": b"w", "timeout": 30_000 if timed else 0}
         return create_request(
             bench, var_id, exact=True, **given | {name: make(bench) for name, make in changes.items()}
         )
 
     return params
-
-
-def _has_timeouts(bench: Bench) -> bool:
-    return bench.features.creation_time and bench.sut.longest_timeout >= 30_000
 
 
 def _value(make: Callable[[Bench], bytes]) -> Callable[[Bench, int], dict[str, Any]]:
@@ -76,9 +70,9 @@ def _name(_bench: Bench, var_id: int) -> dict[str, Any]:
 
 
 _OWN = {
-    "update-too-long": Refusal("RTDB-Update", _value(_long), lambda _: VALUE_TOO_LONG),
+    "update-too-long": Refusal("RTDB-Update", _value(too_long), lambda _: VALUE_TOO_LONG),
     "update-empty": Refusal("RTDB-Update", _value(lambda _: b""), empty_status),
-    "create-value-too-long": Refusal("RTDB-Create", _creation(value=_long), lambda _: VALUE_TOO_LONG),
+    "create-value-too-long": Refusal("RTDB-Create", _creation(value=too_long), lambda _: VALUE_TOO_LONG),
     "create-empty": Refusal("RTDB-Create", _creation(value=lambda _: b""), empty_status),
     "create-description-too-long": Refusal(
         "RTDB-Create",
@@ -89,7 +83,7 @@ _OWN = {
 }
 _FOREIGN = {
     "update": Refusal("RTDB-Update", _value(lambda _: b"w"), lambda _: NOT_PRODUCER),
-    "update-too-long": Refusal("RTDB-Update", _value(_long), lambda _: NOT_PRODUCER),
+    "update-too-long": Refusal("RTDB-Update", _value(too_long), lambda _: NOT_PRODUCER),
     "delete": Refusal("RTDB-Delete", _name, lambda _: NOT_PRODUCER),
     "create": Refusal("RTDB-Create", _creation(), lambda _: EXISTS),
 }
@@ -222,8 +216,7 @@ def counters(bench: Bench, name: str) -> None:
 )
 def counters_restarted(bench: Bench, pending: Callable[[Peer, int], Any]) -> None:
     peer, var_id, count = bench.peer(), bench.var_id(), max_repetitions(bench)
-    first = peer.create(var_id, seqno=1, rep_cnt=count)
-    bench.learn(peer, first)
+    first = bench.learnt(peer, var_id, seqno=1, rep_cnt=count)
     assert first.spec.creation_time is not None
     second = peer.create(var_id, seqno=9, rep_cnt=count, creation_time=first.spec.creation_time + 1)
     bench.records.creation_time()

@@ -21,7 +21,6 @@ from dcp_conformance.test_steps.services import (
     UNKNOWN,
     create_request,
     deleted_status,
-    same_status,
 )
 from dcp_conformance.test_steps.timeouts import scrubs
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_state, stepped, traces
@@ -245,7 +244,7 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
     bench.services.check_status(answer, [*usual, disputed] if disputed else usual, method)
     if disputed and any(map(answer.is_status, (*usual, disputed))):
         bench.reading("X20", "by-description" if answer.is_status(disputed) else "by-steps")
-    if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
+    if method == "RTDB-Read" and answer.is_status(OK) and where.stored is not None:
         bench.answered(answer.result.get("value"), where.stored.upd.value.hex(), "value")
     if not answer.ok:
         _unchanged(bench, where, since)

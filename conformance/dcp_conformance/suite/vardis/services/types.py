@@ -219,8 +219,7 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
 )
 def entry_of_received(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.sut.rep_cnt(2))
-    bench.learn(peer, record)
+    record = bench.learnt(peer, var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.sut.rep_cnt(2))
     entry, spec = _entry(bench, var_id), record.spec
     expected: dict[str, Any] = {
         "varId": var_id,
@@ -353,9 +352,7 @@ def first_words(bench: Bench) -> None:
     record = peer.create(var_id, rep_cnt=count, value=b"value")
     peer.send(record)
     bench.wait(bench.sut.reaction + 2)
-    spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
-    if not spoke:
-        bench.inconclusive("beacons with a VarDis block", "none in time")
+    spoke = bench.needed([heard for heard in bench.heard[since:] if _blocks(heard)], "beacons with a VarDis block")
     bench.none([each for each in spoke if _has_empty_container(each)], "a record in every container", "VD-IC-03")
     bench.every(spoke, lambda each: not _faults(each), "payloads that can be decoded", "VD-IC-01 VD-IC-02")
     said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
