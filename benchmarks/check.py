@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from dcp_conformance.check.judge import Judge, tasks
-from dcp_conformance.model.pics import Pics
+from dcp_conformance.definitions.pics import Pics
 from flights import Attack, Flight
 from rich.console import Console
 from rich.table import Table

@@ -22,9 +22,9 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from dcp_conformance.definitions.pics import Pics, Testing
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.bench import Session
 from dcp_lab.fuzz.campaign import read_state

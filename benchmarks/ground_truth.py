@@ -17,9 +17,9 @@ from dcp_conformance.check import Judge
 from dcp_conformance.check.base import name
 from dcp_conformance.check.topology import told
 from dcp_conformance.check.why import Answer, Step, why
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_selftest.recordings.lines import FAULTS, FAULTY, LINKS, NODES, PROFILE, record_line, recorded
 from dcp_spec.markdown import table
 from dcp_tables.report.analysis import time_of

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 from dcp_spec.exports import exported
 
 if TYPE_CHECKING:
+    from .definitions.case import Case, Needs, Variant, case
+    from .definitions.pics import Capabilities, Pics, Testing, load_pics
+    from .definitions.results import CaseResult, Check, RunResult
+    from .definitions.verdict import Verdict, worst
     from .errors import ConformanceError, UsageError
-    from .model.case import Case, Needs, Variant, case
-    from .model.pics import Capabilities, Pics, Testing, load_pics
-    from .model.results import CaseResult, Check, RunResult
-    from .model.verdict import Verdict, worst
     from .reporting.files import load_results, write_report
 
 __all__ = [
@@ -50,10 +50,10 @@ __getattr__ = exported(
     __name__,
     {
         "errors": ("ConformanceError", "UsageError"),
-        "model.case": ("Case", "Needs", "Variant", "case"),
-        "model.pics": ("Capabilities", "Pics", "Testing", "load_pics"),
-        "model.results": ("CaseResult", "Check", "RunResult"),
-        "model.verdict": ("Verdict", "worst"),
+        "definitions.case": ("Case", "Needs", "Variant", "case"),
+        "definitions.pics": ("Capabilities", "Pics", "Testing", "load_pics"),
+        "definitions.results": ("CaseResult", "Check", "RunResult"),
+        "definitions.verdict": ("Verdict", "worst"),
         "reporting.files": ("load_results", "write_report"),
     },
 )

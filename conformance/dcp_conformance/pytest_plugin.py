@@ -20,9 +20,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from dcp_conformance.definitions.case import CASES
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import CASES
-from dcp_conformance.model.verdict import Verdict
 
 from .execution.run import ConformanceRun
 from .execution.selection import Selection

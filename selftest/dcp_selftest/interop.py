@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.verdict import Verdict
 from dcp_lab.interop.cell import Cell, obstacle, run_cell
 from dcp_lab.interop.definition import all_tests, select_tests
 from dcp_lab.interop.implementations import built_in, meeting_profile

@@ -15,16 +15,15 @@ from functools import cache, partial
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.case import DECLARED, DENIED, SANITY, Case, all_cases
+from dcp_conformance.definitions.declared import declared_by, denied_by
+from dcp_conformance.definitions.pics import Capabilities, Pics
+from dcp_conformance.definitions.results import CaseResult, timestamp
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.concurrent import execute
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import DECLARED, DENIED, SANITY, Case, all_cases
-from dcp_conformance.model.declared import declared_by, denied_by
-from dcp_conformance.model.moment import timestamp
-from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_spec.profile.definition import Profile

@@ -9,12 +9,12 @@ from functools import partial
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.concurrent.executor import WIDTH
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.session import Session

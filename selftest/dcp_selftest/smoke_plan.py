@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Final
 
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.case_times import Times
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis import Dictionary, load
 from dcp_conformance.execution.concurrent import why_alone
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.case_times import Times
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 
 from .runner import Suite, cases
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.case import Case, all_cases
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import Case, all_cases
 from dcp_spec.catalogue.origins import origins
 from dcp_spec.catalogue.requirements import Requirement, requirements
 from dcp_spec.constants import SpecVersion

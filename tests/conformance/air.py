@@ -7,9 +7,9 @@ import random
 from collections.abc import Callable, Iterable, Sequence
 
 from dcp_conformance.check import Judge
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult, RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_lab.sim.virtual.network import Network
 from dcp_spec.constants import features
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from dcp_conformance.cli import main
-from dcp_conformance.model.results import CaseResult
+from dcp_conformance.definitions.results import CaseResult
 
 from .command import Command
 from .rig import one_case

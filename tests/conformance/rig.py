@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
+from dcp_conformance.definitions.case import CASES, DECLARED, DENIED, SANITY, Case, all_cases, cases_of
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import CASES, DECLARED, DENIED, SANITY, Case, all_cases, cases_of
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import UpperTester

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 from dcp_conformance.reference.surroundings import Upper
 from dcp_conformance.test_system.bench import MS, Session

@@ -7,9 +7,9 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
+from dcp_conformance.definitions.case import case
+from dcp_conformance.definitions.registry import Registry, define, defined_in
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import case
-from dcp_conformance.model.registry import Registry, define, defined_in
 
 
 class Entry(NamedTuple):
@@ -25,7 +25,7 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
         for module, ids in modules.items():
-            lines = ["from dcp_conformance.model.registry import define", f"from {__name__} import Entry"]
+            lines = ["from dcp_conformance.definitions.registry import define", f"from {__name__} import Entry"]
             for number, each in enumerate(ids):
                 lines += [f"def f{number}(): ...", f"define(f{number}, [Entry({each!r})])"]
             (tmp_path / name / f"{module}.py").write_text("\n".join(lines) + "\n")

@@ -8,7 +8,7 @@ from pathlib import Path
 import dcp_conformance
 import msgspec
 import pytest
-from dcp_conformance.model.pics import Capabilities, Target, Testing
+from dcp_conformance.definitions.pics import Capabilities, Target, Testing
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.profile.loading import profile_names

@@ -47,7 +47,7 @@ def with_faults(names: Iterable[str], victim: Victim, *, poll_ms: float | None =
 def mutant(name: str) -> NodeClass:
     """The class of a node that is a mutant of the self-test."""
     node_with = importlib.import_module("dcp_selftest.mutants.mutant").node_with
-    modules_of = importlib.import_module("dcp_conformance.model.registry").modules_of
+    modules_of = importlib.import_module("dcp_conformance.definitions.registry").modules_of
     for module in modules_of("dcp_selftest.mutants"):
         for value in vars(importlib.import_module(module)).values():
             made = vars(value).get("__dcp_mutant__") if isinstance(value, type) else None

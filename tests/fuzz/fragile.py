@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_lab.fuzz import Frame

@@ -205,8 +205,8 @@ def test_anomalies_are_shown_for_frames_of_any_length(tmp_path):
 
 @pytest.mark.parametrize(("mutant", "verdict"), [("", "pass"), ("M-BP-RX-15-dies", "fail")])
 def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
+    from dcp_conformance.definitions.pics import Pics
     from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
     from dcp_conformance.test_system.bench import Session
     from dcp_selftest.mutants import all_mutants
@@ -223,8 +223,8 @@ def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
 
 
 def test_an_artefact_of_another_profile_is_inconclusive(tmp_path):
+    from dcp_conformance.definitions.pics import Pics
     from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, reference_config
     from dcp_conformance.test_system.bench import Session
 

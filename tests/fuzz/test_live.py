@@ -6,11 +6,11 @@ import random
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session

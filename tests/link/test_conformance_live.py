@@ -12,12 +12,12 @@ from ipaddress import IPv4Address
 from pathlib import Path
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, Case, Kind, all_cases
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.lower_tester.udp import DEFAULT_GROUP
-from dcp_conformance.model.case import SANITY, Case, Kind, all_cases
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
 from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process, wait_for
 from dcp_conformance.sut.process import ProcessControl

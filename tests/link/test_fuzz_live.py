@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, all_cases
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.target import TargetOptions, open_target
-from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.verdict import Verdict
 from dcp_lab.fuzz import Frame
 from dcp_lab.fuzz.execute.live import LiveTarget
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
-from dcp_conformance.model.verdict import Verdict
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.model.verdict import Verdict
 from dcp_lab.interop.cell import Cell, run_cell
 from dcp_lab.interop.definition import PAIR, all_tests
 from dcp_lab.interop.implementations import Implementation, built_in

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.results import RunResult, Sut
 from dcp_conformance.diagnosis import Dictionary, Fault, explain
 from dcp_conformance.diagnosis.observation import digest
-from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 from dcp_conformance.reporting.issues import write_issues
 from dcp_conformance.reporting.issues.stimulus import stimulus

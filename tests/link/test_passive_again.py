@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from dcp_conformance.model.results import RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reporting import load_results
 
 from ..ports import own_port

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 from dcp_conformance.cli import main as conformance
-from dcp_conformance.model.case import all_cases
+from dcp_conformance.definitions.case import all_cases
 from dcp_selftest.cli import main as selftest
 from dcp_selftest.mutants import all_mutants
 

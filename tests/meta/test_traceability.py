@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from dcp_conformance.definitions.case import Case, Kind
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import Case, Kind
 from dcp_selftest import traceability
 from dcp_selftest.cli.matrix import command as matrix_command
 from dcp_selftest.traceability import DOCUMENT, LEDGER, UNDECIDED, matrix, outdated, render, write

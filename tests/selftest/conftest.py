@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.results import CaseResult
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.results import CaseResult
 from dcp_selftest import runner
 from dcp_selftest.cli import main
 from dcp_selftest.variants import campaign

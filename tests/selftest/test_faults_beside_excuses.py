@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.pics import Testing
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import SANITY, all_cases
+from dcp_conformance.definitions.pics import Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reference import surroundings as around
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.variants.applications import FastPilot, Pilot, Sensor

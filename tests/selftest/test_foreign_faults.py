@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, all_cases
 from dcp_conformance.diagnosis import explain, load
-from dcp_conformance.model.case import SANITY, all_cases
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.runner import Suite
 from dcp_selftest.variants.campaign import judge

@@ -10,8 +10,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import DECLARED, SANITY
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.model.case import DECLARED, SANITY
 from dcp_selftest.generated import campaign
 from dcp_selftest.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_selftest.generated.ledger import CLASSES, entries, ledger

@@ -8,9 +8,9 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, all_cases
+from dcp_conformance.definitions.results import CaseResult
 from dcp_conformance.errors import CouldNotAskError
-from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 from dcp_conformance.stateful import judged
 from dcp_conformance.upper_tester import Answer
@@ -67,8 +67,8 @@ class Outcome(NamedTuple):
 
 def outcome(make: MakeNode, never: str = "", *, executes: bool = False, width: int = WIDTH) -> Outcome:
     """Execute a whole run; ``never``: a method that is never answered. ``width`` 1: in succession."""
+    from dcp_conformance.definitions.pics import Pics
     from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.model.pics import Pics
     from dcp_conformance.test_system.bench import Session
 
     sut = InProcess(reference_config(codec_of(PROFILE)), make=make)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_selftest import runner
 from dcp_selftest.cli.mutants import command

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.check.recording import judge_versions
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import TargetOptions, describe
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.sampling import plain, sampler
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_selftest.runner import cases

@@ -7,9 +7,9 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import pytest
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.pics import Testing
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.pics import Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.stateful.corpus import Sequence
 from dcp_conformance.stateful.judged import judge as judge_steps
 from dcp_conformance.stateful.steps import Call, Step

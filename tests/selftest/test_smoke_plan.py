@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.case_times import encode, load
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis import load as load_dictionary
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection, select
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.case_times import encode, load
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.session import Session
 from dcp_selftest.runner import Suite, cases

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.surroundings import Setup
 from dcp_conformance.reference.surroundings import Tested as Sut
 from dcp_conformance.test_system.bench import Session

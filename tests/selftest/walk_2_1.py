@@ -245,7 +245,7 @@ def check(folder: Path) -> dict[str, Any]:
 def _judged(folder: Path) -> dict[str, str]:
     """Return the rules that are not passed, each with the first finding."""
     from dcp_conformance.check.recording import judge_versions
-    from dcp_conformance.model.pics import Pics
+    from dcp_conformance.definitions.pics import Pics
 
     _played(folder)
     result, _ = judge_versions(folder / "flight.mcap", "dcp-2.1", Pics())[0]
@@ -307,7 +307,7 @@ CASES = (
 
 def cases(_folder: Path) -> dict[str, Any]:
     """A few cases against our node, and against one that does not keep the fields."""
-    from dcp_conformance.model.case import all_cases
+    from dcp_conformance.definitions.case import all_cases
 
     from dcp_codec.codec import Codec
 
@@ -321,8 +321,8 @@ def cases(_folder: Path) -> dict[str, Any]:
 
 def _verdicts(made: Any, selection: Any) -> dict[str, str]:
     """Return ``verdict: reason`` of each case against our node."""
+    from dcp_conformance.definitions.pics import Pics
     from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, reference_config
     from dcp_conformance.test_system.bench import Session
 
@@ -336,7 +336,7 @@ def _verdicts(made: Any, selection: Any) -> dict[str, str]:
 
 def suite(_folder: Path) -> dict[str, Any]:
     """Every case against our node: what does not pass, and what only the version excludes."""
-    from dcp_conformance.model.case import all_cases
+    from dcp_conformance.definitions.case import all_cases
     from dcp_selftest.runner import cases
 
     from dcp_codec.codec import Codec

@@ -7,7 +7,7 @@ import inspect
 import textwrap
 
 import msgspec
-from dcp_conformance.model.pics import Access, Capabilities, Target, Testing
+from dcp_conformance.definitions.pics import Access, Capabilities, Target, Testing
 from msgspec import inspect as ms
 
 from .markdown import code, page, table

@@ -13,11 +13,11 @@ from dcp_codec.analysis.entry import Entry
 from dcp_codec.analysis.ledger import Ledger, News
 from dcp_codec.codec import Codec
 from dcp_codec.views.dissect import Dissection
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import Mark
-from dcp_conformance.model.verdict import Verdict
 
 from .lifetimes import Lifetimes
 from .numbers import Numbers

@@ -15,13 +15,11 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
 from dcp_codec.framing.locate import OtherTraffic, locate
-from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.declared import declarations
-from dcp_conformance.model.moment import timestamp
-from dcp_conformance.model.outcome import assemble
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import (
+from dcp_conformance.definitions.case import Case
+from dcp_conformance.definitions.declared import declarations
+from dcp_conformance.definitions.outcome import assemble
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import (
     CaseResult,
     Check,
     EventRecord,
@@ -29,8 +27,10 @@ from dcp_conformance.model.results import (
     Mark,
     RunResult,
     Sut,
+    timestamp,
 )
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
+from dcp_conformance.frames.received import ReceivedBeacon
 
 from .base import MOST_VARIABLES, Context, Finding, Invariant, Outcome, Seen, name
 from .numbers import Numbers

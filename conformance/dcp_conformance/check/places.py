@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dcp_codec.codec import Codec
-from dcp_conformance.model.results import Mark
+from dcp_conformance.definitions.results import Mark
 
 
 def placed(codec: Codec, mark: Mark, frame: bytes, start: int) -> Mark:

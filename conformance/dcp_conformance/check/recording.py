@@ -24,10 +24,10 @@ from dcp_codec.common.workers import WorkerLostError
 from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import RunResult
 from dcp_conformance.errors import UsageError
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import RunResult
 
 from .judge import OF_REACTIONS, Judge, Task, tasks
 from .sharing import Helper, processes

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from dcp_codec.analysis.holdings import Holding, holdings
 from dcp_codec.common.atomic_write import write_whole
+from dcp_conformance.definitions.results import RunResult
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
 

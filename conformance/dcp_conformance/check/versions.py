@@ -8,8 +8,8 @@ from dcp_codec.analysis.guess import Guess
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
-from dcp_conformance.model.results import CaseResult, Check, RunResult, summarise
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Check, RunResult, summarise
+from dcp_conformance.definitions.verdict import Verdict
 
 
 def weakness(guess: Guess, path: object) -> str:

@@ -17,7 +17,7 @@ from .links import link_options, links_of
 from .options import EXIT_STATUS, Factor, as_typed, expected_option, path_option, pics_option, report_option
 
 if TYPE_CHECKING:
-    from dcp_conformance.model.case import Case
+    from dcp_conformance.definitions.case import Case
 
 
 @click.command("check", epilog=EXIT_STATUS)
@@ -71,10 +71,10 @@ def command(
     recording has occasions for it.
     """
     from dcp_conformance.check.recording import judge_versions
+    from dcp_conformance.definitions.outcome import exit_status
+    from dcp_conformance.definitions.pics import Pics, load_pics
     from dcp_conformance.execution.expected import ExpectedResults
     from dcp_conformance.execution.target import exact
-    from dcp_conformance.model.outcome import exit_status
-    from dcp_conformance.model.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
 
     from .display import console, print_findings, print_summary
@@ -150,7 +150,7 @@ def command(
 def _known_cases() -> dict[str, Case]:
     """Return the cases allowed in a file of expected results, by id: test cases and invariants of recordings."""
     from dcp_conformance.check.judge import cases
-    from dcp_conformance.model.case import all_cases
+    from dcp_conformance.definitions.case import all_cases
 
     return all_cases() | {case.id: case for case in cases()}
 

@@ -12,7 +12,7 @@ from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
-    from dcp_conformance.model.verdict import Verdict
+    from dcp_conformance.definitions.verdict import Verdict
 
 
 @click.command(

@@ -25,12 +25,12 @@ from rich.text import Text
 
 from dcp_codec.common.printable import plain
 from dcp_conformance.check.wording import moment
+from dcp_conformance.definitions.case import Case
+from dcp_conformance.definitions.outcome import nothing_decided
+from dcp_conformance.definitions.results import CaseResult, Check, RunResult
+from dcp_conformance.definitions.survival import bad_checks
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.remarks import listed
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.outcome import nothing_decided
-from dcp_conformance.model.results import CaseResult, Check, RunResult
-from dcp_conformance.model.survival import bad_checks
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.overview import (
     certainty,
     deaths,

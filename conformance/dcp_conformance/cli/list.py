@@ -23,8 +23,8 @@ def command(**options: Any) -> int:
     """
     from dcp_spec.catalogue.requirements import requirements
 
+    from dcp_conformance.definitions.case import all_cases
     from dcp_conformance.execution.selection import select
-    from dcp_conformance.model.case import all_cases
 
     selection = selection_of(options)
     # Show cases that take long, too, because none is executed.

@@ -52,10 +52,10 @@ def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | N
     from dcp_spec.profile.loading import profile_names
 
     from dcp_codec.codec import Codec
+    from dcp_conformance.definitions.pics import UNKNOWN_PROFILE, Access
+    from dcp_conformance.definitions.pics_file import write_pics
     from dcp_conformance.execution.target import describe, open_lower
     from dcp_conformance.interconnection.probe import draft
-    from dcp_conformance.model.pics import UNKNOWN_PROFILE, Access
-    from dcp_conformance.model.pics_file import write_pics
     from dcp_conformance.upper_tester.opening import open_upper
 
     target = target_of(options)

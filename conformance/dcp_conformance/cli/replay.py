@@ -12,8 +12,8 @@ import click
 import msgspec
 
 from dcp_codec.common.commandline import SectionedCommand, say
+from dcp_conformance.definitions.node_id import node_id_octets
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.node_id import node_id_octets
 
 from .options import EXIT_STATUS, TARGET_SECTIONS, as_typed, report_option, target_of, target_options
 
@@ -46,10 +46,10 @@ def command(capture: Path, **options: Any) -> int:
     tester, repeats the service calls of that node's applications. An independent model of the specification judges the
     reactions, and the final state is compared with that of the recorded node.
     """
+    from dcp_conformance.definitions.outcome import assemble, exit_status
+    from dcp_conformance.definitions.results import timestamp
     from dcp_conformance.execution.replay import Replay, choose_node, decided, recorded_nodes
     from dcp_conformance.execution.target import describe, open_target, require_answer
-    from dcp_conformance.model.moment import timestamp
-    from dcp_conformance.model.outcome import assemble, exit_status
     from dcp_conformance.reporting import make_folder, write_report
 
     from .display import print_summary

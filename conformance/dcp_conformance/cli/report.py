@@ -13,7 +13,7 @@ from dcp_conformance.errors import UsageError
 from .options import out_option, path_option
 
 if TYPE_CHECKING:
-    from dcp_conformance.model.results import RunResult
+    from dcp_conformance.definitions.results import RunResult
 
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")

@@ -149,7 +149,7 @@ def _failed_in(report: Path | None, selection: Selection) -> Selection:
     """Restrict the selection to the cases that did not pass in an earlier report."""
     if report is None:
         return selection
-    from dcp_conformance.model.verdict import Verdict
+    from dcp_conformance.definitions.verdict import Verdict
     from dcp_conformance.reporting import load_results
 
     bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)

@@ -43,7 +43,7 @@ def command(
 
     from dcp_conformance.check.recording import judges_of
     from dcp_conformance.check.why import why
-    from dcp_conformance.model.pics import Pics
+    from dcp_conformance.definitions.pics import Pics
 
     _, judges, notes = judges_of(
         capture, profile, Pics(), ether_type=ether_type, show_progress=True,

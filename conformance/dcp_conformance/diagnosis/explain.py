@@ -20,10 +20,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from dcp_conformance.model.case import DECLARED, DENIED, SANITY
-from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
-from dcp_conformance.model.survival import SURVIVAL, bad_checks, did_not_survive, only_died
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import DECLARED, DENIED, SANITY
+from dcp_conformance.definitions.results import CaseResult, Check, Diagnosis, Probable
+from dcp_conformance.definitions.survival import SURVIVAL, bad_checks, did_not_survive, only_died
+from dcp_conformance.definitions.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
 from .observation import observations

@@ -11,9 +11,9 @@ import re
 from hashlib import blake2s
 from typing import Final
 
-from dcp_conformance.model.results import CaseResult, Check
-from dcp_conformance.model.survival import SURVIVAL
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Check
+from dcp_conformance.definitions.survival import SURVIVAL
+from dcp_conformance.definitions.verdict import Verdict
 
 #: Statuses and parameters of the specification, and codes of JSON-RPC.
 _NAME: Final = re.compile(r"\b[A-Z]{2,}(?:[-_][A-Z]+)*[-_]STATUS[-_][A-Z-_]+|\b[A-Z]{3,}PAR_[A-Z_]+|error -?\d+")

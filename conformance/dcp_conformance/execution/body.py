@@ -6,6 +6,9 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import (
     ConformanceError,
     CouldNotAskError,
@@ -15,9 +18,6 @@ from dcp_conformance.errors import (
     UpperTesterError,
 )
 from dcp_conformance.impaired_link import engaged
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
 
 from .survival.attribution import Trial, likely_stimulus
 

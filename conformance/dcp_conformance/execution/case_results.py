@@ -8,8 +8,8 @@ from typing import Final
 
 import msgspec
 
-from dcp_conformance.model.results import CaseResult, Check, EventRecord
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Check, EventRecord
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.test_system.judgement.verdicts import in_force
 from dcp_conformance.test_system.traffic import Event
 

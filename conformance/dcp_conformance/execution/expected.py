@@ -22,11 +22,11 @@ from pathlib import Path
 
 import msgspec
 
+from dcp_conformance.definitions.case import Case
+from dcp_conformance.definitions.input_files import load_file
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.input_files import load_file
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 
 from .selection import matches
 

@@ -23,11 +23,11 @@ from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.values import VarCreate, VarUpdate
 from dcp_codec.views.dissect import dissect
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.circular import Circle
+from dcp_conformance.definitions.results import CaseResult, Mark
 from dcp_conformance.errors import UsageError
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.circular import Circle
-from dcp_conformance.model.results import CaseResult, Mark
 from dcp_conformance.oracle import Limits, Oracle, Waiting
 from dcp_conformance.test_system.bench import Bench
 

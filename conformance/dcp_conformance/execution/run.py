@@ -19,12 +19,11 @@ from typing import NamedTuple
 import msgspec
 
 from dcp_codec.common.signals import deferred
+from dcp_conformance.definitions.case import ARTEFACT_CASES, SANITY, Case, all_cases
+from dcp_conformance.definitions.outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
+from dcp_conformance.definitions.results import CaseResult, Check, Diagnosis, RunResult, Sut, timestamp
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
-from dcp_conformance.model.case import ARTEFACT_CASES, SANITY, Case, all_cases
-from dcp_conformance.model.moment import timestamp
-from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
-from dcp_conformance.model.results import CaseResult, Check, Diagnosis, RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import cases as invariants
 from dcp_conformance.passive import joined
 from dcp_conformance.upper_tester import Checked

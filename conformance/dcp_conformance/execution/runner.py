@@ -11,17 +11,17 @@ from typing import NamedTuple
 import msgspec
 from dcp_spec.parameters import parameters
 
+from dcp_conformance.definitions.applicability import why_not
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.node_id import node_id_octets
+from dcp_conformance.definitions.results import CaseResult, Check, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ContractError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
 from dcp_conformance.interconnection.claims import contradictions, ignored
 from dcp_conformance.interconnection.collision import collision
 from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
-from dcp_conformance.model.applicability import why_not
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.node_id import node_id_octets
-from dcp_conformance.model.results import CaseResult, Check, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session

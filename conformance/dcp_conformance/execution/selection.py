@@ -11,9 +11,9 @@ from importlib import resources
 
 from dcp_spec.catalogue.requirements import requirements
 
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.registry import unknown
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.registry import unknown
 
 PLANS = ("full", "smoke", "long")
 """``full``: all cases except those that take long; ``long``: all cases; ``smoke``: the cases that detect most of the

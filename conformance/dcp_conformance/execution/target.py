@@ -17,12 +17,12 @@ from dcp_spec.profile.usability import refusal
 
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
+from dcp_conformance.definitions.case import cases_of
+from dcp_conformance.definitions.node_id import node_id_octets
+from dcp_conformance.definitions.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
 from dcp_conformance.errors import ConformanceError, NoListenerError, UpperTesterError, UsageError
 from dcp_conformance.impaired_link import impaired, parse_directions
 from dcp_conformance.lower_tester import LowerTester
-from dcp_conformance.model.case import cases_of
-from dcp_conformance.model.node_id import node_id_octets
-from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Reconnecting, UpperTester

@@ -19,7 +19,7 @@ from dcp_codec.errors import Problem
 from dcp_codec.plan.tree import Scalar
 from dcp_codec.views.fields import Dissection, Field
 from dcp_codec.views.salvage import Salvaged
-from dcp_conformance.model.broken_rules import broken_by
+from dcp_conformance.definitions.broken_rules import broken_by
 
 from .header_faults import REQUIREMENT_OF, explanation, layout_of
 

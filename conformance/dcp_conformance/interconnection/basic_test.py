@@ -13,11 +13,11 @@ from typing import Final, Literal
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, QueueingMode
 
 from dcp_codec.errors import DecodeError
+from dcp_conformance.definitions.results import Mark
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.header_rules import Violation, judge
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
-from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,
     CLIENT,

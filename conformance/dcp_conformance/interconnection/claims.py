@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from dcp_spec.constants import BP_PROTID_VARDIS
 
-from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.definitions.pics import Pics, Testing
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sut_properties import PIXIT
 

@@ -13,9 +13,9 @@ from typing import Final, Literal
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
+from dcp_conformance.definitions.results import Mark
 from dcp_conformance.frames.header_rules import Violation
 from dcp_conformance.frames.received import var_id_of
-from dcp_conformance.model.results import Mark
 from dcp_conformance.test_system.known import Failure, Question
 from dcp_conformance.test_system.traffic import Event, payloads, records
 

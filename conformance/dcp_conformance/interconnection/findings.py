@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Testing
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Testing
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import UNREADABLE, Cause, Failure, Known, Misread, Question
 from dcp_conformance.test_system.session import FLOOR, Session

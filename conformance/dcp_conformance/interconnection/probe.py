@@ -18,12 +18,12 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS
 from dcp_codec.analysis.guess import Guess
 from dcp_codec.codec import Codec
 from dcp_codec.values import Beacon
+from dcp_conformance.definitions.node_id import node_id_octets
+from dcp_conformance.definitions.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from dcp_conformance.frames.envelopes import blocks_in, counted, nearest, sound
 from dcp_conformance.frames.header_faults import explanation
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.lower_tester import Arrival, LowerTester
-from dcp_conformance.model.node_id import node_id_octets
-from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.test_system.sut_properties import PIXIT
 from dcp_conformance.upper_tester import Answer, UpperTester

@@ -28,7 +28,7 @@ from dcp_codec.values import (
     VarUpdate,
     own_values,
 )
-from dcp_conformance.model.circular import Circle
+from dcp_conformance.definitions.circular import Circle
 
 from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Obligation, Variable, Version
 from .repetitions import Key

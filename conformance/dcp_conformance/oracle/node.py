@@ -19,7 +19,7 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Scalar
 from dcp_codec.values import RECORD_CLASSES, Container, ExtendedSafetyData, VarCreate, VardisRecord, VarSpec
-from dcp_conformance.model.broken_rules import broken_by
+from dcp_conformance.definitions.broken_rules import broken_by
 
 from .bp import BPModel, Sizes
 from .database import Room, VardisModel, var_id_of

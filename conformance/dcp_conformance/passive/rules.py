@@ -46,7 +46,7 @@ from dcp_conformance.check.rules.counters import MS, SequenceNumbers
 from dcp_conformance.check.rules.data import ByteOrder
 from dcp_conformance.check.rules.srp import OwnReports, ReportNumbers
 from dcp_conformance.check.rules.vardis import ContainerOrder, PayloadConsistency
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 #: Number of intervals after a start that are compared, and the maximum difference in ms of equal ones.
 _INTERVALS, _ALIKE = 6, 0.3

@@ -14,11 +14,11 @@ from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import ETHERNET_HEADER
 from dcp_conformance.check.base import Context, Invariant, Seen
 from dcp_conformance.check.places import placed
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult, Check, EventRecord, Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
-from dcp_conformance.model.verdict import Verdict
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 

@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from dcp_conformance.model.pics import Pics
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.upper_tester import Answer, Notification
 from dcp_stack.config import NodeConfig
 from dcp_stack.virtual.world import World

@@ -1,6 +1,6 @@
 """Reports made from the results of one or several runs: HTML, JSON, JUnit, CSV, Markdown, recordings.
 
-Every report is made from :class:`~dcp_conformance.model.results.RunResult` alone, so it can be made again from
+Every report is made from :class:`~dcp_conformance.definitions.results.RunResult` alone, so it can be made again from
 ``results.json``.
 """
 

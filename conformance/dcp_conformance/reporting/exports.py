@@ -15,8 +15,8 @@ from dcp_spec.markdown import table
 
 from dcp_codec.common.printable import plain
 from dcp_codec.common.spreadsheet import safe_cell
-from dcp_conformance.model.results import CaseResult, RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 
 from .overview import certainty, deaths, diagnosed, headline, sentence
 

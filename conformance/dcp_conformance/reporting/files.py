@@ -9,9 +9,9 @@ from dcp_spec.profile.loading import ProfileError, profile_names
 
 from dcp_codec.codec import Codec
 from dcp_codec.common.atomic_write import write_whole
+from dcp_conformance.definitions.input_files import load_file
+from dcp_conformance.definitions.results import SCHEMA, RunResult
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.input_files import load_file
-from dcp_conformance.model.results import SCHEMA, RunResult
 
 RESULTS = "results.json"
 

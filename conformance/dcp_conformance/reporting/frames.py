@@ -14,7 +14,7 @@ from dcp_codec.framing.locate import Framing
 from dcp_codec.plan.tree import Group
 from dcp_codec.texts import payload_line, value_text
 from dcp_codec.views.dissect import Field
-from dcp_conformance.model.results import EventRecord, Mark
+from dcp_conformance.definitions.results import EventRecord, Mark
 
 ARROWS = {
     "sent": "\u2192 SUT",

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from dcp_codec.common.printable import plain
-from dcp_conformance.model.results import CaseResult, RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 
 _OUTCOMES = {
     Verdict.FAIL: "failure",

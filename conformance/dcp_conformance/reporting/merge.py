@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from dcp_spec.catalogue.requirements import requirements
 
+from dcp_conformance.definitions.results import CaseResult, RunResult
+from dcp_conformance.definitions.verdict import Verdict, worst
 from dcp_conformance.execution.selection import retired
-from dcp_conformance.model.results import CaseResult, RunResult
-from dcp_conformance.model.verdict import Verdict, worst
 
 #: Verdicts that count as better and as worse in comparisons. The other verdicts are neither.
 _GOOD = (Verdict.PASS, Verdict.INFO)

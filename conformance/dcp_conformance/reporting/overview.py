@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from dcp_spec.catalogue.readings import differs_from_reference, readings, with_reference_reading
 
-from dcp_conformance.model.results import CaseResult, Probable, RunResult
-from dcp_conformance.model.survival import SURVIVAL, bad_checks, only_died
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Probable, RunResult
+from dcp_conformance.definitions.survival import SURVIVAL, bad_checks, only_died
+from dcp_conformance.definitions.verdict import Verdict
 
 #: Maximum number of cases that a sentence lists.
 _NAMED = 6

@@ -14,9 +14,9 @@ from dcp_spec.catalogue.requirements import requirements
 from dcp_codec.codec import Codec
 from dcp_codec.common import pages
 from dcp_conformance.check.wording import moment
-from dcp_conformance.model.pics_file import QUESTIONS
-from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult, summarise
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics_file import QUESTIONS
+from dcp_conformance.definitions.results import CaseResult, Check, Mark, RunResult, summarise
+from dcp_conformance.definitions.verdict import Verdict
 
 from .frames import Frames
 from .glossary import terms, terms_of

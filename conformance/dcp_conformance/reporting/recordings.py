@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 
 from dcp_codec.capture import CaptureError, Frame, create_capture
+from dcp_conformance.definitions.results import CaseResult, RunResult
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.results import CaseResult, RunResult
 
 FOLDER = "cases"
 

@@ -1,4 +1,4 @@
-"""Generate the JSON Schema of ``results.json`` from the classes of :mod:`dcp_conformance.model.results`.
+"""Generate the JSON Schema of ``results.json`` from the classes of :mod:`dcp_conformance.definitions.results`.
 
 ``python -m dcp_conformance.reporting.schema`` writes it to ``dcp_conformance/data/results.schema.json``.
 """
@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from dcp_codec.common.schemas import schema_components
-from dcp_conformance.model.results import SCHEMA, RunResult
+from dcp_conformance.definitions.results import SCHEMA, RunResult
 
 PATH = Path(__file__).resolve().parent.parent / "data" / "results.schema.json"
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
-from dcp_conformance.model.results import CaseResult
+from dcp_conformance.definitions.results import CaseResult
 
 from .frames import ARROWS, Frames
 

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
-from dcp_conformance.model.pics_file import QUESTIONS
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics_file import QUESTIONS
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 
 #: A key in the text of a check: "state its value (pixit.max_repetitions)", "[pixit] node_id".
 _KEYS: Final = re.compile(r"\b(?:(pixit|pics|sut)\.|\[(pixit|pics|sut)\] )([a-z_]+)")

@@ -19,10 +19,10 @@ from dcp_spec.constants import (
 )
 from dcp_spec.profile.definition import own_fields
 
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.test_steps.services import (
     Moment,

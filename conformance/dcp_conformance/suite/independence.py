@@ -11,7 +11,7 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.bp.services.parameters import NETWORK, SET, SIZE
 from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, lifetime
 from dcp_conformance.test_steps.bp_clients import CLEAR, CLIENT, QUERY, REPEAT, BPClient

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.stateful.corpus import Sequence, corpus
 from dcp_conformance.stateful.judged import judge
 from dcp_conformance.test_system.bench import Bench

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.profile.deviations import deviations
 
-from dcp_conformance.model.case import DECLARED, DENIED, Needs, case
-from dcp_conformance.model.declared import denied_by
+from dcp_conformance.definitions.case import DECLARED, DENIED, Needs, case
+from dcp_conformance.definitions.declared import denied_by
 
 if TYPE_CHECKING:
     # 'check' imports this module, and does not need the tester.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from dcp_conformance.definitions.case import Needs, case
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interconnection.basic_test import make_contact
 from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.interconnection.settings import PERIODS
-from dcp_conformance.model.case import Needs, case
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
 
 

@@ -6,8 +6,8 @@ import shlex
 import subprocess
 from collections.abc import Callable
 
+from dcp_conformance.definitions.pics import Testing
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.model.pics import Testing
 
 from .control import SutControl
 

@@ -13,10 +13,10 @@ from typing import Any, Self
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, Variant
 from dcp_conformance.errors import CouldNotAskError, UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, Variant
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer, Notification
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VarDelete
+from dcp_conformance.definitions.node_id import node_id_octets
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
-from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 from dcp_conformance.upper_tester import Answer

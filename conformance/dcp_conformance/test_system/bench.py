@@ -12,9 +12,9 @@ from functools import partial
 from dcp_spec.constants import Features
 from dcp_spec.profile.definition import Profile
 
+from dcp_conformance.definitions.case import Case
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case
 
 from .assumptions import Assumptions
 from .control import Control

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple, Protocol
 
 from dcp_codec.codec import Codec
+from dcp_conformance.definitions.pics import REACTION_FLOOR
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.pics import REACTION_FLOOR
 
 from .traffic import Event
 

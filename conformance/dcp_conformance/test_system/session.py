@@ -10,9 +10,9 @@ from typing import Any, Final
 from dcp_spec.constants import ICType, features
 
 from dcp_codec.codec import Codec
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival, Impairs, LowerTester, OnThisMachine
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
 

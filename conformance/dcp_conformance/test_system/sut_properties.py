@@ -11,7 +11,7 @@ from dcp_spec.parameters import parameter
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_conformance.model.pics import REACTION_FLOOR, Pics, Testing
+from dcp_conformance.definitions.pics import REACTION_FLOOR, Pics, Testing
 
 from .assumptions import Assumptions
 from .known import Known

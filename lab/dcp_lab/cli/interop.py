@@ -150,7 +150,7 @@ def _say_cell(result: CellResult, before: str = "") -> None:
 
 
 def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
-    from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR
+    from dcp_conformance.definitions.outcome import INTERRUPTED, TESTER_ERROR
 
     from dcp_lab.interop.reporting import write_reports
     from dcp_lab.interop.results import INTERRUPTED as EARLY
@@ -175,7 +175,7 @@ def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
 
 
 def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
-    from dcp_conformance.model.input_files import load_file
+    from dcp_conformance.definitions.input_files import load_file
 
     from dcp_lab.interop.cell import Cell
     from dcp_lab.interop.definition import all_tests

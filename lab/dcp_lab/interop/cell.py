@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict, worst
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.case_results import doubted
 from dcp_conformance.execution.runner import CONFIRMATIONS
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict, worst
 
 from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say

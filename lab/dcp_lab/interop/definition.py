@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from dcp_conformance.model.registry import Registry, define
+from dcp_conformance.definitions.registry import Registry, define
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 

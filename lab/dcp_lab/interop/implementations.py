@@ -17,8 +17,8 @@ from string import Formatter
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
+from dcp_conformance.definitions.input_files import load_file
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.input_files import load_file
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.reference.surroundings import Setup
 from dcp_spec.profile.loading import ProfileError

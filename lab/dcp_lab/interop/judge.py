@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Collection, Iterator, Sequence
 
 from dcp_conformance.check.judge import Judge
-from dcp_conformance.model.declared import declared_by
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.declared import declared_by
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec

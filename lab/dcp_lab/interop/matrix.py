@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.declared import declared_by
+from dcp_conformance.definitions.results import timestamp
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.model.declared import declared_by
-from dcp_conformance.model.moment import timestamp
-from dcp_conformance.model.verdict import Verdict
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import get_codec

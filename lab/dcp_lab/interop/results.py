@@ -6,8 +6,8 @@ from collections import Counter
 from typing import Any, Final, Literal
 
 import msgspec
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 
 SCHEMA: Final = "dcp-conformance-interop/1"
 INTERRUPTED: Final = "interrupted"

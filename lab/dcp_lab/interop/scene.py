@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.upper_tester import Answer
 from dcp_spec.constants import features
 

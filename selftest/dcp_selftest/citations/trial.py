@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.model.verdict import Verdict
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 
@@ -53,8 +53,8 @@ def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
 
 def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
     """Add the detecting cases on one profile to ``noticed``; return whether the sanity case failed or the node died."""
+    from dcp_conformance.definitions.case import SANITY, all_cases
     from dcp_conformance.execution.selection import ordered
-    from dcp_conformance.model.case import SANITY, all_cases
 
     from dcp_selftest.runner import Suite, finding_of
 

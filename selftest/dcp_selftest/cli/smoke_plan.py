@@ -17,9 +17,9 @@ from .common import quiet_option, write_file
 def command(file: Path, *, quiet: bool) -> int:
     """Measure the duration of each case, choose the smoke plan by the fault dictionary, and write both to FILE."""
     from dcp_conformance.cli.display import progress_bar
+    from dcp_conformance.definitions.case_times import encode
+    from dcp_conformance.definitions.results import CaseResult
     from dcp_conformance.diagnosis import load
-    from dcp_conformance.model.case_times import encode
-    from dcp_conformance.model.results import CaseResult
 
     from dcp_selftest.smoke_plan import make
 

@@ -6,10 +6,10 @@ import signal
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, NoReturn
 
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis.dictionary import Dictionary, Fault
 from dcp_conformance.diagnosis.observation import observations
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.verdict import Verdict
 
 from dcp_selftest.mutants import Mutant, all_mutants
 from dcp_selftest.runner import Suite, cases, in_processes

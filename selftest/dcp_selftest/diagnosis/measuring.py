@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.results import CaseResult, Check, Diagnosis
+from dcp_conformance.definitions.survival import SURVIVAL
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis.dictionary import Dictionary, Fault, load
 from dcp_conformance.diagnosis.explain import explain
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.model.results import CaseResult, Check, Diagnosis
-from dcp_conformance.model.survival import SURVIVAL
-from dcp_conformance.model.verdict import Verdict
 
 from dcp_selftest.mutants import Mutant, all_mutants
 from dcp_selftest.mutants.combination import combined

@@ -9,8 +9,8 @@ from multiprocessing.context import ForkServerContext
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.results import CaseResult
 from dcp_conformance.diagnosis import explain, load
-from dcp_conformance.model.results import CaseResult
 
 from dcp_codec.common.workers import completed
 from dcp_selftest.generated.campaign import draw
@@ -78,7 +78,7 @@ def selections(number: int, seed: int, on_result: Callable[[Statement], None] = 
     A mutant that fails its cases only after others is passed over.
     """
     # Imported here: the process of a change must not have imported the node.
-    from dcp_conformance.model.case import all_cases
+    from dcp_conformance.definitions.case import all_cases
 
     from dcp_selftest.mutants import all_mutants
     from dcp_selftest.runner import Suite

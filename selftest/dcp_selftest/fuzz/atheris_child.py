@@ -16,7 +16,13 @@ import msgspec
 
 #: Number of corpus entries whose layout is cached.
 _REMEMBERED = 512
-_LOOKED_AT = ("dcp_codec", "dcp_spec", "dcp_stack", "dcp_conformance.model.pics", "dcp_conformance.model.pics_file")
+_LOOKED_AT = (
+    "dcp_codec",
+    "dcp_spec",
+    "dcp_stack",
+    "dcp_conformance.definitions.pics",
+    "dcp_conformance.definitions.pics_file",
+)
 _OURS = ("dcp_lab.testing.mutation", "dcp_lab.testing.mutation_values")
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.pics import load_pics
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.pics import load_pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_lab.fuzz.execute.time_limit import TIME_LIMIT, TimeLimit, TimeLimitExceeded
 from dcp_lab.fuzz.steps import Effect, EffectKind, Frame, Step

@@ -13,11 +13,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
+from dcp_conformance.definitions.case import Case, all_cases
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import Case, all_cases
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.profile.definition import Profile
 from dcp_spec.profile.loading import load_profile

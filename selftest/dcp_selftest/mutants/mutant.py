@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from dcp_conformance.model.registry import Registry
+from dcp_conformance.definitions.registry import Registry
 from dcp_conformance.reference.inprocess import MakeNode
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import msgspec
-from dcp_conformance.model.case import all_cases
+from dcp_conformance.definitions.case import all_cases
 from dcp_spec.catalogue.origins import newest_statements, origins, revisions
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.version import __version__

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import msgspec
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.codec import Codec
 from dcp_selftest.recordings.networks import NetworkSituation, Other, record

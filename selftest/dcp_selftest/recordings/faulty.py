@@ -8,7 +8,7 @@ from functools import cache
 from typing import Final, Literal
 
 import msgspec
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from dcp_conformance.check import Judge
-from dcp_conformance.model.case import DECLARED
-from dcp_conformance.model.declared import declared_by
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import DECLARED
+from dcp_conformance.definitions.declared import declared_by
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec

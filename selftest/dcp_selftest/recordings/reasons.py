@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from dcp_conformance.model.results import CaseResult
+from dcp_conformance.definitions.results import CaseResult
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec

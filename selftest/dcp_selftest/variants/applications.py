@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar, Final
 
-from dcp_conformance.model.pics import Testing
+from dcp_conformance.definitions.pics import Testing
 from dcp_conformance.reference.surroundings import Application, Setup
 from dcp_spec.constants import QueueingMode
 

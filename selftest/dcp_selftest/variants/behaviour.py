@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
-from dcp_conformance.model.pics import Capabilities
+from dcp_conformance.definitions.pics import Capabilities
 from dcp_conformance.reference.surroundings import Setup
 from dcp_spec.constants import BP_PROTID_VARDIS, SpecVersion
 

@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import msgspec
+from dcp_conformance.definitions.case import Case, all_cases
+from dcp_conformance.definitions.results import CaseResult, timestamp
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import Case, all_cases
-from dcp_conformance.model.moment import timestamp
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.surroundings import Tested
 from dcp_conformance.test_system.bench import Session
 from dcp_spec.version import __version__

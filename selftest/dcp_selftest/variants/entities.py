@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import msgspec
-from dcp_conformance.model.pics import Capabilities
+from dcp_conformance.definitions.pics import Capabilities
 from dcp_conformance.reference.surroundings import Setup
 
 from .services import ASSUMED_VALUE

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
-from dcp_conformance.model.pics import Testing
+from dcp_conformance.definitions.pics import Testing
 from dcp_conformance.reference.surroundings import Setup
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_spec.profile.definition import Profile

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
-from dcp_conformance.model.pics import Testing
+from dcp_conformance.definitions.pics import Testing
 from dcp_conformance.reference.surroundings import Setup
 from dcp_spec.constants import SpecVersion
 

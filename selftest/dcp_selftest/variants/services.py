@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import msgspec
-from dcp_conformance.model.pics import Capabilities, Testing
+from dcp_conformance.definitions.pics import Capabilities, Testing
 from dcp_conformance.reference.surroundings import Setup, UpperTesting
 from dcp_conformance.upper_tester import Answer
 from dcp_spec.constants import SpecVersion

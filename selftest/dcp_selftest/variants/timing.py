@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from dcp_conformance.definitions.pics import Capabilities, Testing
 from dcp_conformance.lower_tester import Arrival
-from dcp_conformance.model.pics import Capabilities, Testing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualLowerTester
 from dcp_conformance.reference.surroundings import Setup, Tested, UpperTesting
 from dcp_spec.constants import SpecVersion

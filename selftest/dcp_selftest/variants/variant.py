@@ -15,8 +15,8 @@ from types import ModuleType
 from typing import Any, Final
 
 import msgspec
-from dcp_conformance.model.pics import Capabilities, Pics, Testing
-from dcp_conformance.model.registry import Registry
+from dcp_conformance.definitions.pics import Capabilities, Pics, Testing
+from dcp_conformance.definitions.registry import Registry
 from dcp_conformance.reference.inprocess import MakeNode, plain_node, reference_config
 from dcp_conformance.reference.surroundings import Setup, UpperTesting
 from dcp_spec.constants import SpecVersion

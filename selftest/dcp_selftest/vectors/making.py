@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any, Final
 
 import msgspec
-from dcp_conformance.model.case import Case, all_cases
+from dcp_conformance.definitions.case import Case, all_cases
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.reference.surroundings import UpperTesting, same_clock
 from dcp_conformance.upper_tester import Answer

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.test_system.assumptions import Assumptions
 from dcp_conformance.test_system.control import Control
 from dcp_conformance.test_system.identifiers.allocation import Identifiers

@@ -8,10 +8,10 @@ import re
 from pathlib import Path
 
 from dcp_conformance import test_system
+from dcp_conformance.definitions.case import Case, all_cases, cases_of
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import Case, all_cases, cases_of
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 

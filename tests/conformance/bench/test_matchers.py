@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 
 import pytest
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import StopCase
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.judgement.matchers import Matchers, part_of
 from dcp_spec.constants import ICType
 from hypothesis import given

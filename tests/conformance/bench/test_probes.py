@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, StopCase
 from dcp_conformance.interconnection.contact import Contact
-from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec.values import VarReqCreate
 

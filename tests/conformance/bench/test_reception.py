@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.lower_tester import Incident
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.upper_tester import Notification
 from dcp_spec.constants import ICType
 

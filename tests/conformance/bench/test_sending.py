@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.known import Reaction
 
 from dcp_codec.values import VarDelete, VarSumm

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import StopCase, UpperTesterError
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.services.changes import Restoration
 from dcp_conformance.upper_tester import Answer
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.definitions.pics import Pics, Testing
 from dcp_conformance.test_system.known import Reaction
 from dcp_conformance.test_system.sut_properties import FLOOR
 

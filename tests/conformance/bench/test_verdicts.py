@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.results import Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import NamesUsedUp, StopCase
-from dcp_conformance.model.results import Mark
-from dcp_conformance.model.verdict import Verdict
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarDelete, VarSumm

@@ -12,11 +12,11 @@ import msgspec
 import pytest
 from dcp_conformance.check import RULES, Judge
 from dcp_conformance.check.recording import judge_versions
+from dcp_conformance.definitions.case import DECLARED
+from dcp_conformance.definitions.declared import declared_by
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import DECLARED
-from dcp_conformance.model.declared import declared_by
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_lab.testing.strategies import beacons, mutations
 from dcp_spec.catalogue.requirements import requirements
 from hypothesis import given, settings

@@ -6,7 +6,7 @@ import random
 
 import pytest
 from dcp_conformance.check.reception.links import Inference, Link, reacts, summary
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_lab.interop.cell import Cell, run_cell
 from dcp_lab.interop.definition import all_tests
 from dcp_lab.interop.implementations import built_in

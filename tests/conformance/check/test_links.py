@@ -13,10 +13,10 @@ from dcp_conformance.check.tables import write_tables
 from dcp_conformance.check.topology import Topology, from_table, told
 from dcp_conformance.check.why import Answer, why
 from dcp_conformance.cli.links import links_of
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import RunResult, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_selftest.recordings.lines import FAULTS, LINKS, NODES, PROFILE, recorded
 from dcp_selftest.recordings.networks import SECOND, NetworkSituation, record
 from dcp_tables.report.analysis import time_of

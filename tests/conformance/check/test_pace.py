@@ -13,8 +13,8 @@ import pytest
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.check.reception import reception_of
 from dcp_conformance.check.reception.observer import _EVENTS, MOST_OPEN
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame

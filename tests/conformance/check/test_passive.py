@@ -11,15 +11,15 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance import check, passive
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import PassiveTester, joined
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.values import VarReqCreate, VarSumm
 

@@ -12,11 +12,11 @@ from dcp_conformance.check.judge import Judge
 from dcp_conformance.check.numbers import Numbers
 from dcp_conformance.check.recording import judge_versions
 from dcp_conformance.check.topology import told
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import RunResult
-from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec.capture import CaptureError, create_capture, open_capture
 from dcp_codec.codec import Codec

@@ -17,9 +17,9 @@ from dcp_conformance.check.judge import LEAST_BEACONS, RULES, Judge
 from dcp_conformance.check.wording import CONSEQUENCES, differences, moment, spec_text
 from dcp_conformance.cli.check import command
 from dcp_conformance.cli.display import print_summary
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reporting.page import render
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSpec, VarSumm, get_codec

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.check.recording import judge_versions
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import RunResult
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import RunResult
 from dcp_conformance.reporting.page import render
 from dcp_selftest.recordings.lines import recorded
 from dcp_tables.report.analysis import time_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.values import VarSumm
 

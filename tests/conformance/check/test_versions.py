@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from dcp_conformance.check.recording import judge_versions
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 
 from dcp_codec.capture import Frame, create_capture, open_capture
 

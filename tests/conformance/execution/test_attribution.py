@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 from dcp_conformance.cli.display import print_summary
+from dcp_conformance.definitions.case import Case, Kind, Needs
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.survival.life import Loss
-from dcp_conformance.model.case import Case, Kind, Needs
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult, RunResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.reporting.overview import headline, undecided_deaths
 from dcp_conformance.test_steps.beacon_gaps import pausable

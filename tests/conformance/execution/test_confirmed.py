@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import CONFIRMATIONS
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
 
 from .test_repeated_execution import Rig

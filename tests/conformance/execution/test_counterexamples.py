@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.stateful import judged
 from dcp_conformance.test_system.bench import Session

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Answer

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.model.case import SANITY
+from dcp_conformance.definitions.case import SANITY
 from dcp_conformance.reporting import load_results
 
 from ..command import Command

@@ -7,16 +7,16 @@ from itertools import count
 
 import pytest
 from dcp_conformance.cli import main
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.impaired_link import MOST_EXECUTIONS, impaired, parse_directions
 from dcp_conformance.lower_tester import Impairs, Incident, LinkHealth
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_selftest import runner as selftest

@@ -12,6 +12,10 @@ from multiprocessing.connection import Connection
 
 import pytest
 from dcp_conformance.cli import display
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult, Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.concurrent.scheduler import Scheduler
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
@@ -19,10 +23,6 @@ from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.execution.workers.parallel import messages
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult, Mark
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer

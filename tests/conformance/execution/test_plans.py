@@ -6,12 +6,12 @@ import random
 from pathlib import Path
 
 import pytest
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import StopCase
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import PLANS, Selection, left_out, select
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting.files import load_results
 from dcp_conformance.test_system.bench import Bench, Session

@@ -10,8 +10,8 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.outcome import AS_EXPECTED, TESTER_ERROR, UNEXPECTED, USAGE
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.outcome import AS_EXPECTED, TESTER_ERROR, UNEXPECTED, USAGE
 from dcp_conformance.reporting import load_results
 
 from ...waiting import PATIENCE

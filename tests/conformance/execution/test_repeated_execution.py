@@ -6,12 +6,12 @@ from collections.abc import Callable
 from itertools import count
 
 import pytest
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import MOST_EXECUTIONS, Runner
 from dcp_conformance.lower_tester import LinkHealth
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 

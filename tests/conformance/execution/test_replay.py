@@ -7,12 +7,12 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.check.recording import guessed_profile
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.replay import RecordedNodes, Replay, choose_node, decided, recorded_nodes
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.reporting import load_results
 from dcp_conformance.test_system.bench import Session

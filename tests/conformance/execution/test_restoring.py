@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import ConformanceError, StopCase, UpperTesterError
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.test_system.services.changes import Changes

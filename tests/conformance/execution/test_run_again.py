@@ -13,9 +13,9 @@ from typing import Any
 import click
 import pytest
 from dcp_conformance.cli.options import TARGET_SECTIONS, target_options
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.target import TargetOptions
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results
 from hypothesis import given
 from hypothesis import strategies as st

@@ -12,14 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.expected import ExpectedResults
-from dcp_conformance.execution.run import ConformanceRun
-from dcp_conformance.execution.selection import Selection, select
-from dcp_conformance.execution.target import TargetOptions, open_target
-from dcp_conformance.execution.workers.parallel import run_in_workers, workers_for
-from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.outcome import (
+from dcp_conformance.definitions.case import SANITY, all_cases
+from dcp_conformance.definitions.outcome import (
     AS_EXPECTED,
     INCONCLUSIVE,
     INTERRUPTED,
@@ -28,8 +22,14 @@ from dcp_conformance.model.outcome import (
     USAGE,
     exit_status,
 )
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
+from dcp_conformance.errors import UsageError
+from dcp_conformance.execution.expected import ExpectedResults
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.execution.target import TargetOptions, open_target
+from dcp_conformance.execution.workers.parallel import run_in_workers, workers_for
 from dcp_conformance.pytest_plugin import run_with_pytest
 from dcp_conformance.reporting import load_results
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.concurrent.executor import execute
 from dcp_conformance.execution.concurrent.sharing import at_short_period
 from dcp_conformance.execution.concurrent.short_period import PERIOD, ShortPeriod
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.test_system.reception.waiting import Waiting
 from dcp_conformance.test_system.session import Session

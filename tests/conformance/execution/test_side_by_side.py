@@ -9,6 +9,9 @@ from concurrent.futures import Future
 from typing import Any, ClassVar
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, Case, all_cases
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import LowerTesterError, NoAnswerError, UpperTesterError
 from dcp_conformance.execution.concurrent import WIDTH, why_alone
 from dcp_conformance.execution.concurrent.executor import SideBySide
@@ -20,9 +23,6 @@ from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival, LinkHealth
-from dcp_conformance.model.case import SANITY, Case, all_cases
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.control import Control
 from dcp_conformance.upper_tester import Answer
@@ -516,8 +516,8 @@ def test_a_crash_is_detected_and_attributed_to_its_case() -> None:
         handle(octets)
 
     sut.deliver = fragile
+    from dcp_conformance.definitions.pics import Pics
     from dcp_conformance.execution.runner import Runner
-    from dcp_conformance.model.pics import Pics
     from dcp_conformance.test_system.session import Session
 
     runner = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), Pics()), sut)

@@ -7,15 +7,15 @@ import os
 import socket
 
 import pytest
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import NoListenerError
 from dcp_conformance.execution import target
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.survival.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.execution.target import TargetOptions
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.sut.process import has_link_socket
 from dcp_conformance.test_system.bench import Session

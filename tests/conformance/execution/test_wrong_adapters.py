@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Notification, contract, examination

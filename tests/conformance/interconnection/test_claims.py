@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import say_contradictions
-from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Session
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.case import DECLARED, DENIED
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.interconnection.extraction import OWNERS
-from dcp_conformance.model.case import DECLARED, DENIED
-from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec.errors import DecodeError
 from dcp_stack.vardis.wire import Extracted, Extractor

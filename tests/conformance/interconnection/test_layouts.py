@@ -7,11 +7,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import DECLARED, DENIED
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.interconnection.findings import Findings
-from dcp_conformance.model.case import DECLARED, DENIED
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.session import Session
 from dcp_selftest.mutants import all_mutants

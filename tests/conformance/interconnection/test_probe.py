@@ -8,6 +8,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import DECLARED, DENIED
+from dcp_conformance.definitions.declared import denied_by
+from dcp_conformance.definitions.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
+from dcp_conformance.definitions.pics_file import QUESTIONS, pics_text, write_pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import TargetOptions, describe
@@ -15,11 +20,6 @@ from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded
 from dcp_conformance.interconnection.settings import doubtful, ranked_with
 from dcp_conformance.lower_tester import Arrival, LinkHealth
-from dcp_conformance.model.case import DECLARED, DENIED
-from dcp_conformance.model.declared import denied_by
-from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
-from dcp_conformance.model.pics_file import QUESTIONS, pics_text, write_pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Answer

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.pics import Capabilities, Pics, Testing
 from dcp_conformance.interconnection.findings import prepare
 from dcp_conformance.interconnection.reaction import measure
-from dcp_conformance.model.pics import Capabilities, Pics, Testing
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.known import Reaction
 from dcp_conformance.test_system.session import FLOOR

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.case import SANITY, all_cases
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.interconnection.probe import draft
 from dcp_conformance.interconnection.settings import network_ids
-from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester
 from dcp_spec.profile.loading import profile_names
 

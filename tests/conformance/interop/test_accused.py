@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_lab.interop.cell import Cell, run_cell
 from dcp_lab.interop.definition import all_tests
 from dcp_lab.interop.implementations import built_in

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.verdict import Verdict
 from dcp_lab.interop import implementations
 from dcp_lab.interop.bounds import attempts
 from dcp_lab.interop.cell import Cell, run_cell

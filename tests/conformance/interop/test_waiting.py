@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_lab.interop import cell as cells
 from dcp_lab.interop.bounds import cycle_time, expected_time, spreading_time, time_through_outages
 from dcp_lab.interop.cell import Cell, run_cell

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import DECLARED, DENIED, all_cases
+from dcp_conformance.definitions.results import CaseResult, Check, Mark, RunResult
+from dcp_conformance.definitions.survival import SURVIVAL
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
 from dcp_conformance.diagnosis.observation import digest
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.model.case import DECLARED, DENIED, all_cases
-from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult
-from dcp_conformance.model.survival import SURVIVAL
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.exports import summary_markdown
 from dcp_conformance.reporting.overview import certainty, diagnosed, headline, sentence
 from dcp_selftest.diagnosis import measuring

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import msgspec
 import pytest
-from dcp_conformance.model.results import CaseResult, Check, RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Check, RunResult, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reporting.exports import badge, requirements_csv, requirements_markdown, rows, summary_markdown
 
 HOSTILE = "=cmd|'/c calc'!A1"

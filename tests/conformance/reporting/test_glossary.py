@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reporting.glossary import terms
 from dcp_conformance.reporting.merge import render_matrix
 from dcp_conformance.reporting.page import render

@@ -10,11 +10,11 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.cli.display import Display, data, print_summary
+from dcp_conformance.definitions.outcome import assemble
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult, RunResult, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.workers.pytest_items import CaseVerdictError
-from dcp_conformance.model.outcome import assemble
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult, RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.junit import junit_xml
 from dcp_conformance.reporting.page import render

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.results import RunResult, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.diagnosis import Dictionary, Fault, explain
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.results import RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.issues import write_issues
 from dcp_conformance.reporting.issues.stimulus import needs_calls, stimulus
 from dcp_selftest.mutants import all_mutants

@@ -6,8 +6,8 @@ import re
 
 import msgspec
 import pytest
-from dcp_conformance.model.results import Check, Mark, RunResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import Check, Mark, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reporting.page import render
 from dcp_conformance.reporting.references import requirement_links, section_link
 from dcp_conformance.reporting.to_declare import to_declare

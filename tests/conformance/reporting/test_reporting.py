@@ -15,12 +15,12 @@ import jsonschema
 import msgspec
 import pytest
 from dcp_conformance.cli.display import print_summary
+from dcp_conformance.definitions.outcome import assemble
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.results import CaseResult, Check, EventRecord, Mark, RunResult, Sut
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.outcome import assemble
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, Sut
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting import schema as schema_of_results

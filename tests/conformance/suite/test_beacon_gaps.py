@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import StopCase
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.surroundings import Upper
 from dcp_conformance.test_steps.beacon_gaps import between_beacons, in_a_gap
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, DEACTIVATE, ONCE, BPClient

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.model.pics import Capabilities, Pics, Testing
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Capabilities, Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 
 from ..rig import one_case
 

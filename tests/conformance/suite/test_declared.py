@@ -11,13 +11,13 @@ from click.testing import CliRunner, Result
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.cli.compare import command as compare_cli
 from dcp_conformance.cli.display import print_summary
+from dcp_conformance.definitions.case import DECLARED, DENIED, SANITY
+from dcp_conformance.definitions.declared import declared_by, denied_by
+from dcp_conformance.definitions.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
+from dcp_conformance.definitions.pics import Capabilities, Pics
+from dcp_conformance.definitions.results import Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.expected import ExpectedResults
-from dcp_conformance.model.case import DECLARED, DENIED, SANITY
-from dcp_conformance.model.declared import declared_by, denied_by
-from dcp_conformance.model.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
-from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.results import Check
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import write_report
 from dcp_conformance.reporting.page import render
 from dcp_selftest.runner import baseline

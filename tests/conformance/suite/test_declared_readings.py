@@ -8,11 +8,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.pics import Pics, load_pics
+from dcp_conformance.definitions.pics_file import pics_text
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.pics import Pics, load_pics
-from dcp_conformance.model.pics_file import pics_text
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_selftest.generated.sites import sites
 from dcp_selftest.generated.trial import Step, cases, try_site

@@ -7,11 +7,11 @@ from functools import cache
 from itertools import groupby
 
 import pytest
+from dcp_conformance.definitions.case import DECLARED, DENIED
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.interconnection.probe import PIXIT_OF
-from dcp_conformance.model.case import DECLARED, DENIED
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_selftest.costs import COUNTING
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reference.inprocess import MakeNode
 from dcp_selftest.mutants import all_mutants, node_with
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Capabilities, Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reference.inprocess import VirtualLowerTester
 from dcp_spec.constants import ICType
 

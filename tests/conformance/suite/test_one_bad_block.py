@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import pytest
-from dcp_conformance.model.results import CaseResult, Check
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.results import CaseResult, Check
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.suite.bp.services.client_reception import broken_by
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.runner import Suite

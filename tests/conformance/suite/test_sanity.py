@@ -8,13 +8,13 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.pics import Capabilities, Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.interconnection.findings import Findings
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.pics import Capabilities, Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.test_system.steps import Steps

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.pics import Capabilities, Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reference.inprocess import VirtualUpperTester
 from dcp_conformance.upper_tester import Answer
 

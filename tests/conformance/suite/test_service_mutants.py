@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 from dcp_spec.status import VardisStatus
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import MS, Session
 from dcp_selftest.mutants import all_mutants

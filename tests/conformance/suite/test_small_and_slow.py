@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.case import SANITY
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import SANITY
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer

@@ -6,9 +6,9 @@ import random
 from collections import deque
 
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import MS, Session
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_selftest.mutants import node_with
 from dcp_spec.constants import ICType
 

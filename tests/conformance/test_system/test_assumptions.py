@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
 from dcp_selftest.mutants import all_mutants

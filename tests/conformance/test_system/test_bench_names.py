@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.definitions.pics import Pics, Testing
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import NamesUsedUp
-from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
 from dcp_conformance.test_steps.bp_clients import unused_protocol_id
 from dcp_conformance.test_system.bench import Bench, Session

@@ -7,9 +7,9 @@ from pathlib import Path
 import dcp_conformance.suite as cases
 import msgspec
 import pytest
-from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.case import all_cases
+from dcp_conformance.definitions.pics import Capabilities, Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.test_system.services.calls import Services
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.pics import Pics
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import LowerTesterError, StopCase
 from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.lower_tester import sockets as lower_sockets
 from dcp_conformance.lower_tester.sockets import SocketLowerTester
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.pics import Pics
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
 from dcp_conformance.test_system.bench import MS, Bench, Session
 

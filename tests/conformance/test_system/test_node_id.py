@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dcp_conformance.definitions.node_id import node_id_octets
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.node_id import node_id_octets
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Session
 

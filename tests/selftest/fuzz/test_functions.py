@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 
 import pytest
+from dcp_conformance.definitions.pics import load_pics
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.pics import load_pics
 from dcp_lab.fuzz.steps import Frame
 from dcp_lab.testing.mutation import Mutator, drawn_pool
 from dcp_selftest.fuzz.functions import PARTS, FunctionInputs, FunctionTarget

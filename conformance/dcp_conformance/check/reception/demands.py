@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_conformance.check.base import Context
 from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE
-from dcp_conformance.model.circular import Circle
+from dcp_conformance.definitions.circular import Circle
 
 from .following import Kind, Population, Station, Variable
 

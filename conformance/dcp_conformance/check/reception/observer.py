@@ -22,7 +22,7 @@ from typing import Final
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
 from dcp_conformance.check.statements import ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, statement_of
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.model.circular import Circle
+from dcp_conformance.definitions.circular import Circle
 
 from .demands import Demands
 from .following import (

@@ -11,10 +11,10 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import MOST_SENDERS, Context, Evidence, Invariant, Seen, Trace, name
 from dcp_conformance.check.statements import CREATE, UPDATE
 from dcp_conformance.check.stations import Origin
+from dcp_conformance.definitions.broken_rules import broken_by
+from dcp_conformance.definitions.results import Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.frames.header_rules import judge
-from dcp_conformance.model.broken_rules import broken_by
-from dcp_conformance.model.results import Mark
-from dcp_conformance.model.verdict import Verdict
 
 from .counters import MS, SequenceNumbers
 

@@ -8,7 +8,7 @@ from dcp_spec.profile.definition import own_fields
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE
-from dcp_conformance.model.results import Mark
+from dcp_conformance.definitions.results import Mark
 
 #: A time stamp is near the time of the recording if they differ by less than this: 30 days in ns.
 _NEAR = 30 * 86_400 * 1e9

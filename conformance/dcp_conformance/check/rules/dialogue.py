@@ -15,7 +15,7 @@ from dcp_conformance.check.reception import Kind, Proved, Shortage, reception_of
 from dcp_conformance.check.reception.following import Station
 from dcp_conformance.check.reception.links import ALONE, summary
 from dcp_conformance.check.statements import Statement
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 __all__ = ["RULES", "Counter"]
 

@@ -25,8 +25,8 @@ from dcp_conformance.check.statements import (
     latest,
     statement_of,
 )
-from dcp_conformance.model.circular import Circle
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.circular import Circle
+from dcp_conformance.definitions.verdict import Verdict
 
 #: Number of beacons with room in which a node must send the value whose number its summaries state.
 _PATIENCE = 8

@@ -22,10 +22,10 @@ from dcp_conformance.check.statements import (
     latest,
     statements_in,
 )
+from dcp_conformance.definitions.circular import Circle
+from dcp_conformance.definitions.results import Mark
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.circular import Circle
-from dcp_conformance.model.results import Mark
-from dcp_conformance.model.verdict import Verdict
 
 from .counters import MS
 from .dialogue import Counter

@@ -11,7 +11,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
 
 from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.check.base import MOST_SENDERS, Context, Evidence, Invariant, Seen, Trace, name
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 from .counters import NARROW, narrow_counter
 

@@ -6,7 +6,7 @@ import itertools
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 
 #: Maximum number of container sequences that are remembered as valid.
 _SEQUENCES = 1024

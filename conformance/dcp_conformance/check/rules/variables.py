@@ -14,7 +14,7 @@ from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen,
 from dcp_conformance.check.senders import GAP_SHOWS
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, latest
 from dcp_conformance.check.wording import differences, spec_text
-from dcp_conformance.model.circular import Circle
+from dcp_conformance.definitions.circular import Circle
 
 #: Maximum number of values that are kept for each variable; less than its number of sequence numbers.
 _VALUES = 64

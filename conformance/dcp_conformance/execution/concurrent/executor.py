@@ -6,6 +6,11 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
+from dcp_conformance.definitions.applicability import why_not
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.case_times import load
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.body import delete_variables, recorded, run_body
 from dcp_conformance.execution.case_results import result_of
 from dcp_conformance.execution.runner import SLOW_DEATH, Done, Runner
@@ -13,11 +18,6 @@ from dcp_conformance.execution.survival.attribution import Trial
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.interconnection.findings import stands
 from dcp_conformance.lower_tester import Arrival
-from dcp_conformance.model.applicability import why_not
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.case_times import load
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.services.requirements import unreached

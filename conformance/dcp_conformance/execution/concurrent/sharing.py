@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from dcp_spec.constants import ProtocolId
 
-from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.definitions.case import SANITY, Case
 
 ALONE: Final = frozenset(
     {

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
+from dcp_conformance.definitions.case import Case
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.interconnection.reaction import measure
-from dcp_conformance.model.case import Case
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.session import FLOOR
 

@@ -17,9 +17,9 @@ from dcp_spec.constants import BP_PROTID_VARDIS
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.model.results import Check, Table
-from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.definitions.case import Case, Kind
+from dcp_conformance.definitions.results import Check, Table
+from dcp_conformance.definitions.verdict import Verdict, worst
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.services.requirements import (
     concerns,

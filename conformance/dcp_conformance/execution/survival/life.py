@@ -14,9 +14,9 @@ from typing import Final, Literal
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.definitions.case import Case
 from dcp_conformance.errors import LowerTesterError, StopCase, UpperTesterError
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case
 from dcp_conformance.sut.control import SeesSockets, SutControl
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session

@@ -11,8 +11,8 @@ from typing import Final
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
+from dcp_conformance.definitions.case import Case
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.model.case import Case
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.upper_tester import Checked

@@ -23,10 +23,10 @@ import msgspec
 from dcp_codec.common.signals import deferred
 from dcp_codec.common.workers import Worker
 from dcp_codec.network.namespaces import NamespaceError
+from dcp_conformance.definitions.case import SANITY, Case
+from dcp_conformance.definitions.results import CaseResult
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.selection import Selection
-from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.results import CaseResult
 
 from .copies import Cable, cable_of, enter
 

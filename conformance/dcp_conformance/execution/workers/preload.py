@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dcp_conformance.definitions.case import all_cases
 from dcp_conformance.execution import run
-from dcp_conformance.model.case import all_cases
 from dcp_conformance.reference import process
 
 __all__ = ["process", "run"]

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from dcp_codec.common.printable import plain
+from dcp_conformance.definitions.case import CASES, SANITY, Case, cases_of
+from dcp_conformance.definitions.results import CaseResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.execution.run import ConformanceRun
-from dcp_conformance.model.case import CASES, SANITY, Case, cases_of
-from dcp_conformance.model.results import CaseResult
-from dcp_conformance.model.verdict import Verdict
 
 CASES_DIRECTORY = Path(__file__).parents[2] / "suite"
 

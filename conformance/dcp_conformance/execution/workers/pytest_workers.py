@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from dcp_conformance.definitions.case import Case
+from dcp_conformance.definitions.results import CaseResult
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.results import CaseResult
 
 from .pytest_items import Driver
 

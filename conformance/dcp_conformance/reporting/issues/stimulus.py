@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dcp_conformance.model.results import CaseResult, Check
+from dcp_conformance.definitions.results import CaseResult, Check
 from dcp_conformance.reporting.frames import octets_of
 
 #: Parts of the names of services that only query the implementation and do not change its state.

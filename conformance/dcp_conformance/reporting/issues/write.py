@@ -14,9 +14,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from dcp_codec.codec import Codec
 from dcp_codec.common.atomic_write import write_whole
 from dcp_codec.common.printable import plain
+from dcp_conformance.definitions.results import CaseResult, Check, Probable, RunResult
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.frames import Frames
 from dcp_conformance.reporting.overview import certainty, sentence, violated
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.suite.vardis.reception.receive import require_both_taken
 from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_steps.services import produced, settled

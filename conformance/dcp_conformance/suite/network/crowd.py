@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.pacing import FEW, paced
 from dcp_conformance.test_system.bench import Bench

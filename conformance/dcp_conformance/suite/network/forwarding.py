@@ -8,8 +8,8 @@ from __future__ import annotations
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.definitions.case import case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import case
 from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import Bench
 

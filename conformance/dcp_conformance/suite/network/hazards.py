@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion, seqno_modulus
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.services import create_request, produced
 from dcp_conformance.test_system.bench import Bench
 

@@ -9,9 +9,9 @@ import msgspec
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarUpdate
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.frames.sampling import plain
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.services import produced, settled
 from dcp_conformance.test_system.bench import Bench

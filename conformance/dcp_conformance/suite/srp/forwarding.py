@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_steps.services import safety_data, srp_blocks
 from dcp_conformance.test_system.bench import Bench

@@ -6,8 +6,8 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP
 
+from dcp_conformance.definitions.case import REPLACES, Needs, case
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.model.case import REPLACES, Needs, case
 from dcp_conformance.test_steps.services import (
     NO_RESPONSE,
     check_registered_name,

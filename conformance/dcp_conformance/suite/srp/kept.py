@@ -10,7 +10,7 @@ from typing import Any
 
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.srp.soft_state import brief_timeout
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import CLEAR, DEREGISTER, QUERY, UNKNOWN_PROTOCOL, unused_protocol_id

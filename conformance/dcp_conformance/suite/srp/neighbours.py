@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.srp.soft_state import TIMEOUT, brief_timeout, entered, lifetime
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_steps.pacing import paced

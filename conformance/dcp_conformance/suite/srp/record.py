@@ -10,8 +10,8 @@ from typing import Any
 
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.services import (
     Moment,

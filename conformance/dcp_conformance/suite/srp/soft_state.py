@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import neighbour, neighbours, parameters_set, rows, until_neighbour
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer

@@ -11,8 +11,8 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import neighbour, neighbours, numeric_data, rows, safety_data, until_neighbour
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench

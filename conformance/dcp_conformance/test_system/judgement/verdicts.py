@@ -12,11 +12,11 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_codec.codec import Codec
 from dcp_codec.views.fields import Field
+from dcp_conformance.definitions.case import Case
+from dcp_conformance.definitions.results import Check, Mark, Table
+from dcp_conformance.definitions.verdict import Verdict, worst
 from dcp_conformance.errors import NamesUsedUp, StopCase
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.results import Check, Mark, Table
-from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.test_system.known import Misread
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic

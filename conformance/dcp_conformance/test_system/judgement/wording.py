@@ -11,8 +11,8 @@ from typing import Any, Final
 import msgspec
 
 from dcp_codec.values import RECORD_CLASSES
+from dcp_conformance.definitions.results import Mark
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.results import Mark
 
 Evidence = ReceivedBeacon | Instruction | Mark
 

@@ -9,9 +9,9 @@ from typing import Protocol
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
+from dcp_conformance.definitions.pics import Pics
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival, LowerTester
-from dcp_conformance.model.pics import Pics
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.traffic import Traffic

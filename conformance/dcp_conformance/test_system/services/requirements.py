@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 
-from dcp_conformance.model.case import Case
+from dcp_conformance.definitions.case import Case
 from dcp_conformance.test_system.traffic import Event
 from dcp_conformance.upper_tester.base import NOT_REACHED, Answer
 

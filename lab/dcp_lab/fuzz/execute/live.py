@@ -9,11 +9,11 @@ from __future__ import annotations
 import time
 from typing import Final
 
+from dcp_conformance.definitions.case import Case, Kind
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.survival.life import DEATH_PATIENCE
 from dcp_conformance.execution.target import Target as Opened
 from dcp_conformance.frames.received import var_id_of
-from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
 

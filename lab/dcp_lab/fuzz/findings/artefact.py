@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
+from dcp_conformance.definitions.input_files import load_file
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.input_files import load_file
 from dcp_spec.version import __version__
 
 from dcp_codec.capture import CaptureError, create_capture

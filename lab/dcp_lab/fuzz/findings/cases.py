@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.definitions.case import Case, Kind
 from dcp_conformance.stateful.judged import judge
 from dcp_conformance.test_system.bench import Bench
 

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import msgspec
+from dcp_conformance.definitions.input_files import load_file
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_conformance.errors import UsageError
-from dcp_conformance.model.input_files import load_file
-from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.junit import Entry, file_of
 
 from dcp_codec.common.atomic_write import write_whole

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from dcp_spec.markdown import table
 
 from dcp_lab.interop.results import MatrixResult

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import Any, Final
 
-from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.definitions.verdict import Verdict
 from markupsafe import Markup
 
 from dcp_codec.common import pages

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_VERSION, ICType, SpecVersion
 
+from dcp_conformance.definitions.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     LIST,

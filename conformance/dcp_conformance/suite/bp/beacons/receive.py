@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import BP_PROTID_VARDIS, BP_SEQNO_MODULUS, ICType, SpecVersion
 
 from dcp_codec.values import VarSumm
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block, Lies
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_steps.services import until_neighbour
 from dcp_conformance.test_system.bench import Bench

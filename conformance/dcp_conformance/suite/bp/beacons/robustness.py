@@ -15,9 +15,9 @@ from dcp_spec.profile.definition import IntType, NodeIdType
 from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Codec
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.frames.sampling import plain
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_system.bench import Bench
 

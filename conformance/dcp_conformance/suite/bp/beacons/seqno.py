@@ -8,8 +8,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+from dcp_conformance.definitions.case import LISTENS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.test_steps.bp_clients import needed, some_beacons, talking
 from dcp_conformance.test_system.bench import Bench
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
+from dcp_conformance.definitions.case import LISTENS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
-from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,

@@ -10,8 +10,8 @@ from contextlib import ExitStack
 
 from dcp_spec.constants import BP_MAX_PAYLOADS, SpecVersion
 
+from dcp_conformance.definitions.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType
 
-from dcp_conformance.model.case import case
+from dcp_conformance.definitions.case import case
 from dcp_conformance.suite.bp.beacons.receive import check_processed, lengths, summary_block
 from dcp_conformance.test_steps.bp_clients import block_header_octets
 from dcp_conformance.test_system.bench import Bench

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
 
+from dcp_conformance.definitions.case import LISTENS, Needs, Variant, case
 from dcp_conformance.frames.builder import Block, Lies
-from dcp_conformance.model.case import LISTENS, Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import length_is_of_blocks, lengths
 from dcp_conformance.suite.bp.beacons.seqno import check_first_number, first_number
 from dcp_conformance.suite.bp.services.parameters import SET, SIZE

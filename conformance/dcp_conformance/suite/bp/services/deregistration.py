@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     DEREGISTER,

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
+from dcp_conformance.definitions.case import DENIED, LISTENS, REPLACES, Needs, Variant, case
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import DENIED, LISTENS, REPLACES, Needs, Variant, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (

@@ -11,8 +11,8 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,

@@ -13,8 +13,8 @@ from typing import Any
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.suite.bp.services.parameters import NETWORK, PERIOD, SET, SIZE
 from dcp_conformance.test_steps.beacon_gaps import between_beacons

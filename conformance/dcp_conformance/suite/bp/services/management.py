@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,
     CLEAR,

@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.timing import estimate, overload
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,

@@ -9,7 +9,7 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import FILLS, Needs, Variant, case
+from dcp_conformance.definitions.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLEAR,

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 from dcp_spec.constants import BP_MAX_PAYLOADS, BP_SEQNO_MODULUS, QueueingMode, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.builder import Block, Lies
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import SpecVersion
 
-from dcp_conformance.model.case import FILLS, Needs, case
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.suite.bp.queues.fitting import check_sizes
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,

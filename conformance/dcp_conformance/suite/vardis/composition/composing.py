@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_steps.services import produced

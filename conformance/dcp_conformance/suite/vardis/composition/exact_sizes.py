@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable, undisturbed
 from dcp_conformance.test_steps.services import OK, create_request, produced, settled

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_stored, stepped, traces
 from dcp_conformance.test_system.bench import Bench

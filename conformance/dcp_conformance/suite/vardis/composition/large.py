@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import VarSumm
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import areas_of_fixed_size, block_header_octets, header_octets
 from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, check_state

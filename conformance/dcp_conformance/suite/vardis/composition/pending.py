@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import (
     entry_of,
     max_repetitions,

@@ -9,8 +9,8 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.definitions.case import FILLS, Needs, Variant, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
 from dcp_conformance.test_steps.full_payloads import require_undisturbed
 from dcp_conformance.test_steps.services import listed, produced

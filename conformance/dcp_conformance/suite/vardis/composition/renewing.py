@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import created_again, described, produced, settled, teach_variable
 from dcp_conformance.test_steps.time_stamps import check_later, stamp_in
 from dcp_conformance.test_steps.variable_queries import stepped

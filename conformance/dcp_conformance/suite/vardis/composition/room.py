@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
-from dcp_conformance.model.case import FILLS, Needs, Variant, case
+from dcp_conformance.definitions.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_steps.timeouts import lasting, latest, learn, shorten_scrubbing
 from dcp_conformance.test_steps.variable_queries import teach_variables

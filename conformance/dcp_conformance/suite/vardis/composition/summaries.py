@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.services import produced
 from dcp_conformance.test_system.bench import Bench

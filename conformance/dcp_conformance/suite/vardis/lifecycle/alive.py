@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
-from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
+from dcp_conformance.definitions.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.services import created_again, described, several_repetitions
 from dcp_conformance.test_steps.timeouts import (
     Change,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,

@@ -6,7 +6,7 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.services import check_registered_name, listed, produced, registration, teach_variable
 from dcp_conformance.test_steps.timeouts import not_by_consumers
 from dcp_conformance.test_system.bench import MS, Bench

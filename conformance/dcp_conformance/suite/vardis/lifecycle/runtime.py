@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import LISTENS, Needs, case
+from dcp_conformance.definitions.case import LISTENS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
 from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import MS, Bench

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
     check_time,

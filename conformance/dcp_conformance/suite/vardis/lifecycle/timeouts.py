@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.definitions.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
     check_not_kept,

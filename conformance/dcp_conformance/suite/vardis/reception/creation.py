@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import binary_identifiers, longest_description, max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, modulus, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench

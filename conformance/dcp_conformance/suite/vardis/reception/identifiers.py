@@ -11,7 +11,7 @@ from typing import Any
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import OK, UNKNOWN, create_request, described, listed
 from dcp_conformance.test_system.bench import Bench
 

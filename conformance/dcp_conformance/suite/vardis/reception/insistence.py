@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import var_id_of
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.full_payloads import settable

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.definitions.case import FILLS, Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import var_id_of
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, check_stored, modulus, stepped, teach_variables, traces
 from dcp_conformance.test_system.bench import Bench

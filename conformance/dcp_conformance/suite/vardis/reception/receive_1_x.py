@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 

@@ -7,8 +7,8 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     EXISTS,

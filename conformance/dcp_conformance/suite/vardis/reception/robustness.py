@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
+from dcp_conformance.definitions.case import Variant, case
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import Variant, case
 from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, check_state, own_id
 from dcp_conformance.test_system.bench import Bench

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import traces
 from dcp_conformance.test_system.bench import Bench

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import holds_two_octets, produced
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, modulus, named, stepped, teach_variables, traces
 from dcp_conformance.test_system.bench import Bench

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import FILLS, Needs, Variant, case
+from dcp_conformance.definitions.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_steps.variable_states import (

@@ -6,7 +6,7 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE
 from dcp_conformance.test_steps.services import (

@@ -11,7 +11,7 @@ from typing import Any
 
 from dcp_spec.constants import SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import (
     INACTIVE,
     NOT_EXPRESSIBLE,

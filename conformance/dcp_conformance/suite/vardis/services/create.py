@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,

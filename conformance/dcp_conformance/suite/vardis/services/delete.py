@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,

@@ -7,7 +7,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VarSpec
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.services import create_request, described, listed, settled
 from dcp_conformance.test_system.bench import Bench
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import longest_description, teach_variable
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_state, check_stored, named, traces
 from dcp_conformance.test_system.bench import Bench

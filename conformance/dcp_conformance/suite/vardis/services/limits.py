@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     OK,

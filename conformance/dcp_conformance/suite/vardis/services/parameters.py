@@ -13,7 +13,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 from dcp_spec.parameters import parameters
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,

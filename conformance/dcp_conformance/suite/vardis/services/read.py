@@ -8,8 +8,8 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
+from dcp_conformance.definitions.case import REPLACES, Needs, case
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.model.case import REPLACES, Needs, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.services import (
     INACTIVE,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,

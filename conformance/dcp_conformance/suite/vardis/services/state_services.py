@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.definitions.case import Needs, Variant, case
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import (
     EXISTS,
     NOT_PRODUCER,

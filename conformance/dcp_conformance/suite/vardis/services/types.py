@@ -9,8 +9,8 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_codec.errors import Problem
 from dcp_codec.values import VarCreate
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.services import (
     create_request,
     entry_of,

@@ -6,9 +6,9 @@ from typing import Any
 
 from dcp_spec.constants import ICType, seqno_modulus
 
+from dcp_conformance.definitions.case import Needs, case
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
 from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (

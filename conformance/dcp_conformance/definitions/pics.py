@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 from dcp_spec.catalogue.readings import UnknownReadingError, reading
 
-from dcp_conformance.model.input_files import load_file
+from dcp_conformance.definitions.input_files import load_file
 
 from .node_id import node_id_octets
 

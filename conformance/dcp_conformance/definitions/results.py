@@ -5,6 +5,7 @@ The file's ``schema`` says which version of these structs it follows; members ar
 
 from __future__ import annotations
 
+import time
 from typing import Any, Literal
 
 import msgspec
@@ -15,6 +16,11 @@ from .verdict import Verdict
 _SEVERAL = 3
 SCHEMA = "dcp-conformance-results/1"
 Table = Literal["conformance", "robustness"]
+
+
+def timestamp() -> str:
+    """Return the present time, ISO 8601 in UTC, to the second."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
 class Mark(msgspec.Struct, frozen=True, omit_defaults=True):
