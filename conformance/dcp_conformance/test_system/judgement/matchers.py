@@ -9,7 +9,8 @@ lateness of the tester may explain (:mod:`.excuses`). Which of the two follows f
   :meth:`.Shown.one_each`, :meth:`.Shown.answered`, :meth:`.Shown.fields`, :meth:`.Shown.present`,
   :meth:`.Shown.proved`, :meth:`.Shown.wrong`;
 * others can fail in both ways: :meth:`.Matchers.equal`, :meth:`.Matchers.only`, :meth:`.Matchers.in_order`,
-  :meth:`.Matchers.repeated`, :meth:`.Matchers.within`.
+  :meth:`.Matchers.repeated`, :meth:`.Matchers.within`;
+* without what :meth:`.Missing.needed` looks for, the case is inconclusive.
 
 Each states its expectation and its observation, and attaches the received frames as evidence. Requirement identifiers
 may be one string, separated by spaces; without any, the check decides all requirements of the case.
