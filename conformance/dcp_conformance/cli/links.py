@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -50,6 +49,9 @@ def links_of(hears: tuple[str, ...], topology: Path | None) -> Topology | None:
 
 def _of_scenario(path: Path) -> Topology:
     """Return the links of a scenario, which the laboratory can read. Raises :class:`UsageError`."""
+    # Lazy import: it costs the start of the command 20 ms.
+    from importlib.metadata import entry_points
+
     from dcp_codec.common.extras import advice
 
     for entry in entry_points(group=READERS, name="scenario"):
