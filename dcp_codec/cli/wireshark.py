@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from dcp_spec.profile.loading import profile_names
 
-from dcp_codec.common.commandline import writing
+from dcp_codec.common.commandline import path_option, writing
 
 from .common import load_codec
 
@@ -33,9 +33,8 @@ _USUAL = Path("~/.local/lib/wireshark/plugins")
     metavar="NAME|FILE",
     help="Wire profile to install or remove; may be given several times.  [default: all built-in profiles]",
 )
-@click.option(
+@path_option(
     "--folder",
-    type=click.Path(path_type=Path),
     metavar="DIR",
     help="Folder of Lua plugins.  [default: the personal one of 'tshark -G folders']",
 )

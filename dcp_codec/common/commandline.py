@@ -79,10 +79,17 @@ def output_format(*forms: str, help: str = "Format of the output.") -> Callable[
     return choice_option("-f", "--format", "form", of=forms, help=help)
 
 
+def path_option(
+    *names: str, metavar: str, help: str | None = None, required: bool = False, multiple: bool = False, **path: bool
+) -> Callable[[F], F]:
+    """Return an option that names a file or folder. ``path``: what :class:`click.Path` requires of it."""
+    kind = click.Path(path_type=Path, **path)
+    return click.option(*names, type=kind, metavar=metavar, help=help, required=required, multiple=multiple)
+
+
 def out_option(metavar: str, help: str, *, required: bool = False, folder: bool = True) -> Callable[[F], F]:
     """Return the option ``--out`` (parameter ``out``, a path); ``folder``: it may be a folder that exists."""
-    path = click.Path(path_type=Path, dir_okay=folder)
-    return click.option("-o", "--out", required=required, type=path, metavar=metavar, help=help)
+    return path_option("-o", "--out", metavar=metavar, help=help, required=required, dir_okay=folder)
 
 
 class CommandSection(NamedTuple):
@@ -91,7 +98,7 @@ class CommandSection(NamedTuple):
     heading: str
     """Heading in the help."""
     package: str
-    """Package with the modules: ``dcp_codec.cli``. It may be missing; calling a subcommand tells."""
+    """Package with the modules: ``dcp_codec.cli``. If it is missing, calling a subcommand reports this."""
     commands: Mapping[str, str]
     """Subcommand -> one line of help, in the order in which they are shown."""
 

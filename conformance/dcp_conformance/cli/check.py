@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, say
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, path_option, say
 from dcp_conformance.errors import UsageError
 
 from .links import link_options, links_of
-from .options import EXIT_STATUS, Factor, as_typed, expected_option, path_option, pics_option, report_option
+from .options import EXIT_STATUS, Factor, as_typed, expected_option, pics_option, report_option
 
 if TYPE_CHECKING:
     from dcp_conformance.definitions.case import Case

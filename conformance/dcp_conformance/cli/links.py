@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from dcp_codec.common.commandline import path_option
 from dcp_conformance.errors import UsageError
 
-from .options import F, path_option
+from .options import F
 
 if TYPE_CHECKING:
     from dcp_conformance.check.topology import Topology

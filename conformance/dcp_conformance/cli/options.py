@@ -6,12 +6,11 @@ import math
 import shlex
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, path_option
 from dcp_conformance.execution.selection import PLANS, Selection
 
 if TYPE_CHECKING:
@@ -54,17 +53,6 @@ def as_typed(*words: str) -> str:
     """
     command = shlex.join(["dcp-conformance", *(words or sys.argv[1:])])
     return command.encode("utf-8", "backslashreplace").decode()
-
-
-def path_option(*names: str, metavar: str, help: str, multiple: bool = False, **path: bool) -> Callable[[F], F]:
-    """Return an option that names a file or folder. ``path``: what :class:`click.Path` requires of it."""
-    kind = click.Path(path_type=Path, **path)
-    return click.option(*names, type=kind, metavar=metavar, multiple=multiple, help=help)
-
-
-def out_option(text: str) -> Callable[[F], F]:
-    """Add the option ``--out FILE`` with the help ``text``."""
-    return path_option("-o", "--out", metavar="FILE", help=text)
 
 
 pics_option = path_option(
@@ -171,7 +159,9 @@ def target_of(options: dict[str, Any]) -> TargetOptions:
     from dcp_conformance.execution.target import TargetOptions
 
     given = {name: options[name] for names in TARGET_SECTIONS.values() for name in names.split()}
-    return TargetOptions(**given).with_access()
+    target = TargetOptions(**given)
+    # The file says how to reach the implementation of the user; "fuzz --own-node" is about another one.
+    return target if options.get("own_node") else target.with_access()
 
 
 def selection_of(options: dict[str, Any]) -> Selection:

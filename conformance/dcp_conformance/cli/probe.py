@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import SectionedCommand, say
+from dcp_codec.common.commandline import SectionedCommand, out_option, say
 from dcp_codec.common.printable import plain
 from dcp_conformance.errors import UsageError
 
-from .options import TARGET_SECTIONS, out_option, target_of, target_options
+from .options import TARGET_SECTIONS, target_of, target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     help="Walk through the methods of the upper tester (--ut), and show which are there and keep to the contract.",
 )
 @click.option("--passive", is_flag=True, help="Only listen: do not ask a silent implementation for variables.")
-@out_option("Write the PICS to this file.  [default: standard output]")
+@out_option("FILE", "Write the PICS to this file.  [default: standard output]")
 def command(*, seconds: float, check_adapter: bool, passive: bool, out: Path | None, **options: Any) -> int:
     """Draft the PICS and PIXIT of an implementation by observation and queries.
 

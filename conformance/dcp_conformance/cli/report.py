@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import out_option, path_option, say
 from dcp_conformance.errors import UsageError
-
-from .options import out_option, path_option
 
 if TYPE_CHECKING:
     from dcp_conformance.definitions.results import RunResult
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
-@out_option("Write the page to this file (HTML).")
+@out_option("FILE", "Write the page to this file (HTML).")
 @path_option(
     "--issues",
     file_okay=False,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import SectionedCommand, say
+from dcp_codec.common.commandline import SectionedCommand, path_option, say
 from dcp_conformance.errors import UsageError
 
 from .options import (
@@ -17,7 +17,6 @@ from .options import (
     TARGET_SECTIONS,
     as_typed,
     expected_option,
-    path_option,
     report_option,
     selection_of,
     selection_options,

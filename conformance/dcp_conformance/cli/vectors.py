@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import path_option, say
 
 
 @click.command("vectors", epilog="Exit status: 0 they were written; 2 wrong usage.")
@@ -15,7 +15,7 @@ from dcp_codec.common.commandline import say
     "--profile", "profiles", multiple=True, metavar="NAME", help="Only this profile; repeatable.  [default: all]"
 )
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(("wire", "behaviour")), help="Only this kind.")
-@click.option("--archive", type=click.Path(path_type=Path), metavar="FILE", help="Also write them as a zip file.")
+@path_option("--archive", metavar="FILE", help="Also write them as a zip file.")
 def command(folder: Path, profiles: tuple[str, ...], kinds: tuple[str, ...], archive: Path | None) -> int:
     """Write test vectors to DIR, for unit tests in any language.
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.options import F, applied, path_option
+from dcp_conformance.cli.options import F, applied
 from dcp_conformance.errors import UsageError
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import path_option, say
 
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
@@ -28,13 +28,6 @@ _DRY_RUN = 1000
 SHOWN = ""
 #: Exit status of a campaign that was stopped by a signal, as in shells.
 _STOPPED = 130
-
-
-#: Sections of the help of commands that have :func:`campaign_options`.
-CAMPAIGN_SECTIONS = {
-    "Campaign": "max_time max_cases max_findings rate recording resume",
-    "Output": "artefacts coverage dry_run quiet",
-}
 
 
 def campaign_options(function: F) -> F:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError, SectionedCommand
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError, SectionedCommand, path_option
 from dcp_stack.cli.common import counted, note, table_lines
 
 if TYPE_CHECKING:
@@ -63,11 +63,11 @@ def _limits(function: Any) -> Any:
 @click.option("--proposal", metavar="NAME", help="Explore a changed specification (docs/hazards.md lists them).")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("--chart/--no-chart", default=True, show_default=True, help="Show message sequence charts.")
-@click.option(
+@path_option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
     help="Write each violation to DIR as a scenario for 'dcp-node simulate' and as a recording of its medium.",
+    file_okay=False,
 )
 def command(space: Path | None, as_json: bool, chart: bool, out: Path | None, **options: Any) -> int:
     """Visit every state that a network of 2 to 4 nodes with one variable can reach (docs/explore.md).

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from dcp_conformance.cli.options import TARGET_SECTIONS, path_option, target_of, target_options
+from dcp_conformance.cli.options import TARGET_SECTIONS, target_of, target_options
 from dcp_conformance.errors import UsageError
 
-from dcp_codec.common.commandline import SectionedCommand, say
+from dcp_codec.common.commandline import SectionedCommand, path_option, say
 
 from .campaigns import (
-    CAMPAIGN_SECTIONS,
     campaign_options,
     material,
     profile_text,
@@ -121,7 +120,11 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
     "live",
     cls=SectionedCommand,
     epilog=EXIT_STATUS,
-    sections=TARGET_SECTIONS | CAMPAIGN_SECTIONS | {"Campaign": f"own_node batch {CAMPAIGN_SECTIONS['Campaign']}"},
+    sections={
+        **TARGET_SECTIONS,
+        "Campaign": "own_node batch max_time max_cases max_findings rate recording resume",
+        "Output": "artefacts coverage dry_run quiet",
+    },
 )
 @target_options
 @_OWN_NODE

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 import msgspec
-from dcp_conformance.cli.options import as_typed, path_option
+from dcp_conformance.cli.options import as_typed
 from dcp_conformance.errors import UsageError
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import path_option, say
 
 if TYPE_CHECKING:
     from dcp_lab.interop.cell import WorldKind

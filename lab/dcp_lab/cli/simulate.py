@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import PROFILE_HELP, UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, UNUSABLE, ExpectedError, path_option
 from dcp_codec.common.extras import advice
 from dcp_stack.cli.common import Seconds
 
@@ -127,23 +127,20 @@ def _settings(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ..
     help="Set a key of the scenario, such as link.loss=0.3 or events.*.repetitions=2; may be given several times.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option(
+@path_option(
     "--record",
-    type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
     help="Record the frames that each node sent and received to DIR/node-N.mcap.",
+    file_okay=False,
 )
-@click.option(
-    "--record-medium",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Record each transmission once, as seen on the medium.",
+@path_option(
+    "--record-medium", metavar="FILE", help="Record each transmission once, as seen on the medium.", dir_okay=False
 )
-@click.option(
+@path_option(
     "--values",
-    type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write a row for each value and each node at which it was due: .csv, or .parquet (extra 'table').",
+    help="Write a row for each value and each node at which it was due: .csv, or .parquet (needs pyarrow).",
+    dir_okay=False,
 )
 @click.option("--ages", is_flag=True, help="Measure the mean age of state reports, which takes longer.")
 def command(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, path_option
 from dcp_codec.common.extras import advice
 from dcp_stack.cli.common import note, table_lines
 
@@ -34,11 +34,11 @@ _PROGRESS_S = 2.0
     "study or a file that cannot be written; 4 interrupted (Ctrl-C): the runs that are done are kept.",
 )
 @click.argument("study", type=click.Path(dir_okay=False, path_type=Path), metavar="STUDY")
-@click.option(
+@path_option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
     help="Folder of the results; runs that it has are not repeated.  [default: STUDY without .toml]",
+    file_okay=False,
 )
 @click.option("--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds, in place of sweep.seeds.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: all cores]")
@@ -49,19 +49,20 @@ _PROGRESS_S = 2.0
     help="Double the seeds of each combination until half of the confidence interval of the share at the longest "
     "distance is at most X (up to 1,000 seeds).",
 )
-@click.option(
+@path_option(
     "--verify",
-    type=click.Path(dir_okay=False, exists=True, path_type=Path),
     metavar="BUNDLE",
     help="Repeat the runs of a bundle.json of STUDY, and compare their digests.",
+    dir_okay=False,
+    exists=True,
 )
 def command(
     study: Path, out: Path | None, seeds: int | None, jobs: int | None, until_ci: float | None, verify: Path | None
 ) -> int:
     """Run STUDY, a scenario (docs/scenarios.md) with a table [sweep]: lists of values by the keys of the scenario.
 
-    Writes runs.jsonl as it goes, and at the end table.csv, runs.csv, bundle.json, runs.parquet (extra 'table'), and
-    plot.svg, plot.png and page.html (extra 'plot').
+    Writes runs.jsonl as it goes, and at the end table.csv, runs.csv, bundle.json, runs.parquet (needs pyarrow), and
+    plot.svg, plot.png and page.html (need matplotlib).
     """
     import msgspec
 

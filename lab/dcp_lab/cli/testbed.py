@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError, path_option
 from dcp_stack.cli.common import Seconds, note
 
 from .simulate import NOT_MET, scenario_of
@@ -57,11 +57,11 @@ class _InterruptedError(BaseException):
     help="Carry frames by the kernel (bridges, netem), or by a relay, which can also corrupt frames and lose bursts.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option(
+@path_option(
     "--keep",
-    type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
     help="Keep recordings (node-N.mcap), logs, settings and control sockets in DIR.",
+    file_okay=False,
 )
 def command(
     scenario: str | None, duration: float | None, links: str, as_json: bool, keep: Path | None, **options: Any

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, path_option
 
 EXIT_STATUS = "Exit status: 0 all recordings match the manifest, 1 some differ, 2 unreadable manifest."
 
@@ -37,11 +37,11 @@ def verify_command(manifest: Path) -> int:
 
 @command.command("make", epilog=EXIT_STATUS)
 @click.argument("manifest", type=click.Path(dir_okay=False, path_type=Path))
-@click.option(
+@path_option(
     "--originals",
-    type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
     help="Folder of the recordings.  [default: those attached to the existing files]",
+    file_okay=False,
 )
 @click.pass_context
 def make_command(context: click.Context, manifest: Path, originals: Path | None) -> int:

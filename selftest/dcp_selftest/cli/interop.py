@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import path_option, say
 
 from .common import jobs_option, quiet_option
 
@@ -22,12 +22,7 @@ from .common import jobs_option, quiet_option
     "--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of seeds for each cell."
 )
 @jobs_option
-@click.option(
-    "--document",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Write the table into its section of FILE (Markdown).",
-)
+@path_option("--document", metavar="FILE", help="Write the table into its section of FILE (Markdown).", dir_okay=False)
 @quiet_option
 def command(
     names: tuple[str, ...], tests: tuple[str, ...], seeds: int, jobs: int | None, document: Path | None, *, quiet: bool

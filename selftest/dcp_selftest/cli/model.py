@@ -8,7 +8,7 @@ import click
 import msgspec
 from dcp_conformance.errors import UsageError
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import path_option, say
 
 from .common import (
     document_option,
@@ -43,11 +43,11 @@ from .common import (
     help="Draw so many sequences after those of a run.",
 )
 @click.option("--shrink", is_flag=True, help="Make counterexamples as short as possible.")
-@click.option(
+@path_option(
     "--draw",
-    type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
     help="Draw sequences with the reference node, and write those of a run and the best new ones to FILE.",
+    dir_okay=False,
 )
 @click.option("--most", type=click.IntRange(1), default=40, show_default=True, metavar="N", help="Add up to N to FILE.")
 @seed_option

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from dcp_codec.common.commandline import path_option
+
 from .common import FEW, jobs_option, quiet_option, report_option, verbose_option, write_file, write_json
 
 
@@ -25,9 +27,7 @@ from .common import FEW, jobs_option, quiet_option, report_option, verbose_optio
 )
 @jobs_option
 @report_option
-@click.option(
-    "--document", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write the page (Markdown)."
-)
+@path_option("--document", metavar="FILE", help="Write the page (Markdown).", dir_okay=False)
 @verbose_option
 @quiet_option
 def command(

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from dcp_codec.common.commandline import path_option
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
 from dcp_stack.runtime.errors import NodeError
@@ -25,7 +26,7 @@ from .mutant import Mutant, all_mutants
 @click.option("-p", "--profile", metavar="NAME|FILE", help="[default: the newest in which the mutant is a fault]")
 @click.option("--control", metavar="PATH")
 @click.option("--beacon-period", type=int, metavar="MS")
-@click.option("--config", type=click.Path(path_type=Path), metavar="FILE")
+@path_option("--config", metavar="FILE")
 @click.option("--log-level", metavar="LEVEL")
 def command(mutant: str, config: Path | None, log_level: str | None, **flags: Any) -> None:
     """Run a MUTANT (M-...) of our node until SIGTERM; options are those of dcp-node run."""

@@ -11,7 +11,7 @@ import click
 from dcp_codec.capture import CaptureError
 from dcp_codec.cli.common import note, profile_options
 from dcp_codec.common.atomic_write import refuse_irregular, write_whole
-from dcp_codec.common.commandline import FORCE_HELP, ExpectedError, expected, out_option
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError, expected, out_option, path_option
 
 from .recordings import check_input, extras, octets_progress, tell
 
@@ -37,11 +37,11 @@ _MANY = 20
     "several]",
     folder=False,
 )
-@click.option(
+@path_option(
     "--findings",
-    type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="results.json of 'dcp-conformance check --report-dir': its findings about the recording are on the page.",
+    dir_okay=False,
 )
 @profile_options
 @click.option("--force", is_flag=True, help=FORCE_HELP)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dcp_conformance.cli.options import TARGET_SECTIONS, target_of
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.target import TargetOptions
 
@@ -64,3 +65,10 @@ def test_two_links_are_refused(file):
 def test_an_unusable_value_is_named(file):
     with pytest.raises(UsageError, match="ether_type"):
         TargetOptions(pics=file("[access]\nether_type = 5\n")).with_access()
+
+
+def test_the_reference_node_as_a_process_needs_no_access(file):
+    names = dict.fromkeys(" ".join(TARGET_SECTIONS.values()).split())
+    given = {**names, "in_process": False, "timing_scale": 1.0, "seed": 1, "pics": file(WHOLE)}
+    assert target_of(given).foreign
+    assert not target_of({**given, "own_node": True}).foreign

@@ -33,7 +33,7 @@ class Losses:
     _sut: SutProperties
     _steps: Steps
     _counting: Counting
-    """Of the whole run."""
+    """Steps of the beacon numbers in the whole run."""
     dropped: int = field(default=0, init=False)
     """Number of frames that the kernel dropped in this case."""
     _incidents: list[Incident] = field(default_factory=list, init=False)
